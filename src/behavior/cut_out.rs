@@ -88,8 +88,7 @@ impl CutOut {
         if speed_mps < MIN_SPEED_MPS {
             return None;
         }
-        // To be reached in time at the reveal, it can be at most this far away now, plus the distance that the ego
-        // drives until then.
+        // To be reached in time at the reveal, it can be this far away now, plus what the ego drives until then.
         match ego.ahead(present, (MAX_HEADWAY_S + self.max_ttc_s) * speed_mps)[..] {
             [leader, revealed, ..] if leader.gap_m <= MAX_HEADWAY_S * speed_mps => Some([leader, revealed]),
             _ => None,
@@ -132,8 +131,7 @@ impl CutOut {
         Some(Reveal { timestep, side, leader_mps: out.velocity.dot(Vec2::from_angle(place.heading_rad)) })
     }
 
-    /// The first timestep from which the leader's box reaches over the side of the lane without a break until the
-    /// reveal.
+    /// The first timestep from which the leader's box is over the side of the lane without a break until the reveal.
     fn start(scene: &Scene, ego: &Follower<'_>, leader_idx: usize, reveal: &Reveal) -> usize {
         let half_width_m = scene.tracks[leader_idx].extent_or_nominal().width_m / 2.0;
         let reaches_over = |t: &usize| {

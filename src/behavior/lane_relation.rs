@@ -98,7 +98,6 @@ pub(crate) struct SceneLanes<'a> {
 }
 
 impl<'a> SceneLanes<'a> {
-    /// An index of all lanes of `graph`.
     pub(crate) fn new(graph: &'a LaneGraph) -> Self {
         Self { graph, lanes: graph.lanes().iter().filter_map(IndexedLane::new).collect() }
     }

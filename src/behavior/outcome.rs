@@ -2,8 +2,7 @@
 
 use std::collections::BTreeMap;
 
-/// The parameters of an event that agents can still show, under the names that the event would have. Other parameters
-/// can take any value.
+/// The parameters of an event that agents can still show, under the event's names. Others can take any value.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Outcome {
     parameters: BTreeMap<&'static str, f64>,
@@ -30,8 +29,7 @@ impl Outcome {
         self.may_be_within(ranges) && ranges.keys().all(|name| self.get(name).is_some())
     }
 
-    /// Whether all of its parameters that are in `ranges` lie in their ranges. Parameters that it lacks may still do
-    /// so.
+    /// Whether all of its parameters that are in `ranges` lie in their ranges. Those that it lacks may still do so.
     pub(super) fn may_be_within(&self, ranges: &BTreeMap<String, [f64; 2]>) -> bool {
         let is_in = |(name, [low, high]): (&String, &[f64; 2])| {
             self.get(name).is_none_or(|value| (*low..=*high).contains(&value))

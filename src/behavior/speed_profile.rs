@@ -56,10 +56,8 @@ mod tests {
     fn a_steady_change_has_its_own_slope() {
         let speeds: Vec<f64> = (0..7).map(|t| 10.0 - 0.4 * f64::from(t)).collect();
         let slopes = smoothed_accelerations_mps2(&trajectory(&speeds), 3, 0.1, 0.3);
-        assert_eq!(
-            slopes.iter().map(Option::is_some).collect::<Vec<_>>(),
-            [false, false, true, true, true, false, false]
-        );
+        let found = slopes.iter().map(Option::is_some).collect::<Vec<_>>();
+        assert_eq!(found, [false, false, true, true, true, false, false]);
         assert!(slopes.into_iter().flatten().all(|slope| (slope + 4.0).abs() < 1e-9));
     }
 
@@ -90,9 +88,7 @@ mod tests {
 
     #[test]
     fn windows_span_what_is_asked() {
-        assert_eq!(
-            (half_window(0.1, 0.3), half_window(0.1, 0.4), half_window(0.1, 0.0), half_window(0.5, 0.3)),
-            (2, 2, 1, 1)
-        );
+        let found = (half_window(0.1, 0.3), half_window(0.1, 0.4), half_window(0.1, 0.0), half_window(0.5, 0.3));
+        assert_eq!(found, (2, 2, 1, 1));
     }
 }

@@ -37,27 +37,21 @@ pub(super) struct Bucket {
 pub(super) struct Object {
     /// Its name, relative to the folder.
     pub(super) name: String,
-    /// Its length.
     pub(super) n_bytes: u64,
     /// A tag that changes with its content.
     pub(super) etag: String,
 }
 
 impl Bucket {
-    /// The folder at a URL.
     pub(super) fn open(url: ObjectUrl) -> Result<Self> {
         Ok(Self { store: connect(&url)?, url })
     }
 
-    /// Its URL.
     pub(super) const fn url(&self) -> &ObjectUrl {
         &self.url
     }
 
     /// All objects in it, sorted by name.
-    ///
-    /// # Errors
-    /// When a name cannot be that of a file; errors of the store.
     pub(super) fn list(&self) -> Result<Vec<Object>> {
         let mut found = self.repeated("list", "", async || {
             let prefix = self.key("")?;
@@ -91,9 +85,6 @@ impl Bucket {
 
     /// Downloads an object to the file `to`, whose folder must exist; nothing is there unless it is whole. Returns
     /// whether it is still the one that was listed; nothing is written if it is not.
-    ///
-    /// # Errors
-    /// [`Error::Missing`]; errors of the store and the disk.
     pub(super) fn download(&self, listed: &Object, to: &Path) -> Result<bool> {
         self.repeated("read", &listed.name, async || {
             let result = self.store.get(&self.key(&listed.name)?).await?;

@@ -65,9 +65,6 @@ pub(super) fn endpoint(url: &ObjectUrl) -> String {
 }
 
 /// The threads on which requests are carried; made once, with the first request.
-///
-/// # Errors
-/// When the system gives no thread.
 pub(super) fn runtime() -> Result<&'static Runtime> {
     static RUNTIME: OnceLock<Runtime> = OnceLock::new();
     if let Some(runtime) = RUNTIME.get() {

@@ -14,8 +14,7 @@ use crate::files::{LOCK_FILE, Lock, PARTIAL_SUFFIX, files_below};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
-/// The object that lists the others: by name the BLAKE3 hash of each, or `null` from before it is written until all
-/// are.
+/// The object that lists the others: the BLAKE3 hash of each by name, or `null` until all are written.
 const LIST: &str = ".djinn-copied.json";
 
 /// A URL to which results are copied.
@@ -25,10 +24,6 @@ pub(super) struct Target {
 }
 
 impl Target {
-    /// The target at a URL.
-    ///
-    /// # Errors
-    /// [`Error::Foreign`]; errors of the store.
     pub(super) fn at(url: ObjectUrl) -> Result<Self> {
         let target = Self { bucket: Bucket::open(url)? };
         target.check_ours(&target.listed()?, &target.lengths()?)?;

@@ -7,6 +7,7 @@ use std::io;
 
 /// Errors of object stores. No message holds a credential.
 #[derive(Debug, thiserror::Error)]
+#[expect(missing_docs, reason = "the messages tell what the fields are")]
 pub enum Error {
     /// An invalid URL.
     #[error(transparent)]
@@ -16,58 +17,25 @@ pub enum Error {
         "cannot open {url}: this djinn was built without object stores; use one that was built with them \
          (`cargo build --release --features cloud`), or copy the files to disk"
     )]
-    NotBuilt {
-        /// The URL to open.
-        url: ObjectUrl,
-    },
+    NotBuilt { url: ObjectUrl },
     /// Nothing is there.
     #[error("{url} does not exist, neither as an object nor as a folder of objects")]
-    Missing {
-        /// The missing object.
-        url: ObjectUrl,
-    },
+    Missing { url: ObjectUrl },
     /// The store does not let us.
     #[error("cannot {doing} {url}: {why}; check the credentials and the settings of the store in the environment")]
-    Denied {
-        /// The action.
-        doing: &'static str,
-        /// The URL of the request.
-        url: ObjectUrl,
-        /// The store's message.
-        why: String,
-    },
+    Denied { doing: &'static str, url: ObjectUrl, why: String },
     /// The store, or the way there, does not work.
     #[error("cannot {doing} {url}: tried {n_attempts} times in {seconds:.0} s; last: {why}")]
-    Failed {
-        /// The action.
-        doing: &'static str,
-        /// The URL of the request.
-        url: ObjectUrl,
-        /// The number of attempts.
-        n_attempts: usize,
-        /// Their duration, seconds.
-        seconds: f64,
-        /// The last failure.
-        why: String,
-    },
+    Failed { doing: &'static str, url: ObjectUrl, n_attempts: usize, seconds: f64, why: String },
     /// Objects of others where results would be copied to.
     #[error("{url} was not written by djinn; nothing was changed there; remove it, or choose another output")]
-    Foreign {
-        /// The first of them.
-        url: ObjectUrl,
-    },
+    Foreign { url: ObjectUrl },
     /// An object that was replaced while it was downloaded.
     #[error("{url} was replaced while it was read; run the same command again once it stays as it is")]
-    Replaced {
-        /// The object.
-        url: ObjectUrl,
-    },
+    Replaced { url: ObjectUrl },
     /// A name that cannot be a file.
     #[error("{url} cannot be kept on disk: its name is no relative path; move it out of the folder")]
-    Unnamable {
-        /// The object.
-        url: ObjectUrl,
-    },
+    Unnamable { url: ObjectUrl },
     /// No folder of this machine.
     #[error("no folder for what is in object stores is known: pass --cache-dir, or set DJINN_CACHE_DIR")]
     NoCache,

@@ -28,9 +28,6 @@ pub enum Recordings {}
 
 impl Recordings {
     /// The recordings at a URL; `None` for a path on disk.
-    ///
-    /// # Errors
-    /// For every URL.
     pub fn at(path: &Path) -> Result<Option<Self>> {
         ObjectUrl::of(path)?.map_or(Ok(None), |url| Err(Error::NotBuilt { url }))
     }

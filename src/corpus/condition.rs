@@ -76,9 +76,6 @@ impl FromStr for Condition {
 
 impl Condition {
     /// Whether the condition fits the columns of the scenarios.
-    ///
-    /// # Errors
-    /// [`Error::UnknownColumn`] with the nearest name, [`Error::Condition`] when the value does not fit the type.
     pub(super) fn check(&self, schema: &Schema) -> Result<()> {
         let Ok(field) = schema.field_with_name(self.column()) else {
             let names: Vec<&str> =
@@ -88,7 +85,6 @@ impl Condition {
         self.value_as(field.data_type()).map(drop)
     }
 
-    /// The value as one of this type.
     fn value_as(&self, data_type: &DataType) -> Result<Scalar<ArrayRef>> {
         let value = match data_type.is_nested() {
             true => None,
@@ -105,7 +101,6 @@ impl Condition {
         value.map(Scalar::new).ok_or_else(|| Error::Condition { text: self.text.clone(), detail: detail() })
     }
 
-    /// The column of the table.
     fn column(&self) -> &str {
         if self.column == BEHAVIOR { "requested_behavior" } else { &self.column }
     }

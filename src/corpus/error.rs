@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 /// A failure of a tool.
 #[derive(Debug, thiserror::Error)]
+#[expect(missing_docs, reason = "the messages tell what the fields are")]
 pub enum Error {
     /// A corpus cannot be read or written.
     #[error(transparent)]
@@ -14,20 +15,10 @@ pub enum Error {
     Io(#[from] std::io::Error),
     /// A condition that cannot be understood.
     #[error("condition `{text}`: {detail}")]
-    Condition {
-        /// The condition as it was given.
-        text: String,
-        /// The fault, and the alternatives.
-        detail: String,
-    },
+    Condition { text: String, detail: String },
     /// A column that the scenarios do not have.
     #[error("scenarios have no column `{name}`{hint}")]
-    UnknownColumn {
-        /// The name requested.
-        name: String,
-        /// The nearest name, or nothing.
-        hint: String,
-    },
+    UnknownColumn { name: String, hint: String },
     /// A folder that must not be written into.
     #[error(transparent)]
     Files(files::Error),
@@ -36,26 +27,14 @@ pub enum Error {
         "scenario {id} is in {} and in {} with different content; filter it out of one of them first",
         .first.display(), .second.display()
     )]
-    Conflict {
-        /// The scenario.
-        id: String,
-        /// The corpus that has it first.
-        first: PathBuf,
-        /// The other one.
-        second: PathBuf,
-    },
+    Conflict { id: String, first: PathBuf, second: PathBuf },
     /// Two corpora hold different maps under one name.
     #[error(
         "map {id} of {} differs from the map of the same name in an earlier corpus; corpora with different maps cannot \
          be merged",
         .dir.display()
     )]
-    MapConflict {
-        /// The map.
-        id: String,
-        /// The corpus with the later map.
-        dir: PathBuf,
-    },
+    MapConflict { id: String, dir: PathBuf },
     /// A choice that cannot be.
     #[error("{0}")]
     Usage(String),

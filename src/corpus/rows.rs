@@ -7,13 +7,11 @@ use arrow::datatypes::SchemaRef;
 use arrow::row::{RowConverter, Rows, SortField};
 use std::path::Path;
 
-/// The column of this name.
 pub(super) fn column<'b>(batch: &'b RecordBatch, name: &str, path: &Path) -> Result<&'b ArrayRef> {
     let missing = || store::Error::corrupt(path, format!("column {name} is missing"));
     Ok(batch.column_by_name(name).ok_or_else(missing)?)
 }
 
-/// A column of texts.
 pub(super) fn texts<'b>(batch: &'b RecordBatch, name: &str, path: &Path) -> Result<&'b StringArray> {
     let other = || store::Error::corrupt(path, format!("column {name} does not hold text"));
     Ok(column(batch, name, path)?.as_any().downcast_ref().ok_or_else(other)?)

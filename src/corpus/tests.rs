@@ -67,9 +67,8 @@ fn a_merge_holds_everything_once() {
     let manifest = outcome.manifest;
     assert_eq!((manifest.n_scenarios, manifest.n_maps, manifest.history.len()), (28, 1, 1));
     assert_eq!(manifest.notes["pipeline"], "test");
-    assert!(
-        manifest.sources["argoverse1"].contains("CC BY-NC-SA 4.0") && !manifest.sources["argoverse1"].contains("Also")
-    );
+    assert!(manifest.sources["argoverse1"].contains("CC BY-NC-SA 4.0"));
+    assert!(!manifest.sources["argoverse1"].contains("Also"));
     // Equal corpora give equal bytes, and the parts that they were cut into do not matter to the set.
     merge(&[a, b], &folder.path("again"), &Silent).unwrap();
     assert!(folder_bytes(&folder.path("out")) == folder_bytes(&folder.path("again")));
@@ -195,10 +194,8 @@ fn a_filter_keeps_what_fulfils_all_conditions() {
 
     // Parameters of events are columns; the gap of the verified sample, number 1, is 6 m.
     filtered(&a, &["gap_m < 6.5", "gap_m >= 6"], &folder.path("gap")).unwrap();
-    assert_eq!(
-        ids(&folder.path("gap")),
-        records(0..40).iter().filter(|r| r.verified).map(|r| r.scenario.id.clone()).collect()
-    );
+    let found = ids(&folder.path("gap"));
+    assert_eq!(found, records(0..40).iter().filter(|r| r.verified).map(|r| r.scenario.id.clone()).collect());
     filtered(&a, &["gap_m < 6"], &folder.path("none")).unwrap();
     assert!(CorpusReader::open(&folder.path("none")).unwrap().is_empty());
     // A table without rows still has its columns.
@@ -255,9 +252,8 @@ fn a_filter_takes_a_list_of_beginnings_and_the_ends_of_an_order() {
     // If other ids begin alike, a beginning is not enough.
     let beginning = &first[..first.len() - 1];
     let reader = CorpusReader::open(&a).unwrap();
-    assert!(
-        matches!(take(listed(&[beginning]), "ambiguous"), Err(Error::Usage(_))) && reader.position(beginning).is_err()
-    );
+    assert!(matches!(take(listed(&[beginning]), "ambiguous"), Err(Error::Usage(_))));
+    assert!(reader.position(beginning).is_err());
     let alone = folder.path("one");
     filter(&alone, &listed(&[beginning]), &folder.path("abbreviated"), &Silent).unwrap();
     assert_eq!(ids(&folder.path("abbreviated")), BTreeSet::from([first.clone()]));

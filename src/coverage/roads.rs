@@ -178,11 +178,8 @@ mod tests {
         assert_eq!(junction(&graph(&[(1, &straight, &[]), (2, &crossing, &[])]), -40.0), "intersection");
         assert_eq!(junction(&graph(&[(1, &straight, &[]), (2, &crossing, &[])]), -58.0), "none", "it is 58 m away");
         let beside = [[-60.0, 3.5], [60.0, -1.0]];
-        assert_eq!(
-            junction(&graph(&[(1, &straight, &[]), (2, &beside, &[])]), 0.0),
-            "none",
-            "their angle is 2 degrees"
-        );
+        let found = junction(&graph(&[(1, &straight, &[]), (2, &beside, &[])]), 0.0);
+        assert_eq!(found, "none", "their angle is 2 degrees");
         let (before, ramp, after) =
             ([[-60.0, 0.0], [0.0, 0.0]], [[-60.0, -20.0], [0.0, 0.0]], [[0.0, 0.0], [60.0, 0.0]]);
         assert_eq!(junction(&graph(&[(1, &before, &[3]), (2, &ramp, &[3]), (3, &after, &[])]), 0.0), "merge");

@@ -24,12 +24,10 @@ pub(crate) struct Component {
 }
 
 impl GaussianMixture {
-    /// Number of dimensions.
     pub(crate) fn n_dims(&self) -> usize {
         self.components.first().map_or(0, |component| component.mean.len())
     }
 
-    /// Mean of the distribution.
     pub(crate) fn mean(&self) -> Vec<f64> {
         (0..self.n_dims()).map(|i| self.expect(|component| component.mean[i])).collect()
     }

@@ -88,13 +88,9 @@ fn finite(value: &Value, name: &str) -> Result<f64, String> {
     number.ok_or_else(|| format!("{name} has {}, expected a number", shown(value)))
 }
 
-/// The beginning of a value.
 fn shown(value: &Value) -> String {
     let text = value.as_f64().map_or_else(|| value.to_string(), plain);
-    match text.chars().count() > 60 {
-        true => text.chars().take(60).chain(['…']).collect(),
-        false => text,
-    }
+    if text.chars().count() > 60 { text.chars().take(60).chain(['…']).collect() } else { text }
 }
 
 #[cfg(test)]

@@ -48,7 +48,6 @@ impl EgoDriver {
         }
     }
 
-    /// The name in tables.
     pub(super) fn name_in_tables(&self) -> &str {
         match self {
             Self::External(_) => "planner",

@@ -5,28 +5,17 @@ use std::path::PathBuf;
 
 /// A failure of a drive.
 #[derive(Debug, thiserror::Error)]
+#[expect(missing_docs, reason = "the messages tell what the fields are")]
 pub enum Error {
     /// A setting that cannot work.
     #[error("{0}")]
     Config(String),
     /// No scenario passes the selection.
     #[error("none of the {n_scenarios} scenarios in {corpus} is {wanted}")]
-    NothingSelected {
-        /// The corpus.
-        corpus: PathBuf,
-        /// The number of its scenarios.
-        n_scenarios: usize,
-        /// The selection in words.
-        wanted: String,
-    },
+    NothingSelected { corpus: PathBuf, n_scenarios: usize, wanted: String },
     /// Every selected scenario is left out.
     #[error("none of the {n_chosen} chosen scenarios can be driven: {why}")]
-    NothingDriven {
-        /// The number of selected scenarios.
-        n_chosen: usize,
-        /// The reasons with their numbers.
-        why: String,
-    },
+    NothingDriven { n_chosen: usize, why: String },
     /// A closed loop failed.
     #[error(transparent)]
     Simulate(#[from] simulate::Error),

@@ -60,7 +60,6 @@ impl Kept {
         }
     }
 
-    /// Keeps the drives of a scenario.
     pub(super) fn put(&self, scenario_id: &str, drives: &Drives) -> Result<()> {
         self.is_unused.store(false, Ordering::Relaxed);
         Ok(write_binary_atomically(&self.path(scenario_id), &self.format, drives).map(drop)?)

@@ -79,9 +79,6 @@ impl Margin {
     /// The margin of a situation. `outcomes` are those of the driver under test and of the careful driver, and
     /// `outcome` gives that of driver 0 or 1 in a delayed situation. `None` if the event has no other agent, or none of
     /// them can be later.
-    ///
-    /// # Errors
-    /// Errors of a drive.
     pub(super) fn find(
         situation: &Situation,
         outcomes: [Outcome; 2],

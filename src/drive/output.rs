@@ -38,7 +38,6 @@ pub(super) struct Output<'a> {
     again: String,
     states: DrivenWriter,
     rows: Vec<DriveRow>,
-    /// The tags of scenarios.
     tags: BTreeMap<String, Tags>,
     margins: Vec<Margin>,
     log: Option<AtomicFile>,
@@ -76,7 +75,6 @@ impl<'a> Output<'a> {
         })
     }
 
-    /// Adds the drives of a situation.
     pub(super) fn add(&mut self, situation: &Situation, (drives, margin): Drives) -> Result<()> {
         self.tags.insert(situation.scenario_id.clone(), Tags::of(&situation.scene));
         let careful = of_driver(&drives, NamedDriver::Careful);
@@ -148,7 +146,6 @@ impl<'a> Output<'a> {
     }
 }
 
-/// The row of a drive.
 pub(super) fn row(situation: &Situation, driver: &str, driven: &Driven, careful_survives: Option<bool>) -> DriveRow {
     let n_steps = driven.world.n_timesteps() - situation.scene.n_history;
     DriveRow {

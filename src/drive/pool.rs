@@ -23,7 +23,6 @@ pub(super) const BESIDE: [NamedDriver; 2] = [NamedDriver::Careful, NamedDriver::
 /// The drives from a situation, by the name of the driver in tables, that under test first; and the margin.
 pub(super) type Drives = (Vec<(String, Driven)>, Option<Margin>);
 
-/// The drive of this driver.
 pub(super) fn of_driver(drives: &[(String, Driven)], driver: NamedDriver) -> Option<&Driven> {
     drives.iter().find(|(name, _)| name == driver.name()).map(|(_, driven)| driven)
 }

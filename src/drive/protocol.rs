@@ -244,7 +244,6 @@ impl Observation {
 }
 
 impl Peeked {
-    /// These futures, as scenes of the situation.
     pub(super) fn of(situation: &Situation, world: &World, futures: &[Scene]) -> Self {
         let future = |scene: &Scene, agent_idx: usize| {
             world.present(agent_idx)?;

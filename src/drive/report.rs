@@ -175,7 +175,6 @@ impl DriveReport {
         }
     }
 
-    /// Counts a drive.
     pub(super) fn count(&mut self, driver: &str, driven: &Driven) {
         *self.outcomes.entry(driver.to_owned()).or_default().entry(driven.outcome.name()).or_default() += 1;
         let traffic = self.traffic.entry(driver.to_owned()).or_default();

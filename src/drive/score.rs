@@ -29,9 +29,6 @@ const RECORDED: &str = "recorded";
 /// Scores the trajectories in `planned` for scenarios of the corpus in `corpus`, and writes the table of drives and the
 /// report into the folder `out`, which must be new or empty. Beside each it scores the careful driver, who answers to
 /// the others as they are, an ego at constant velocity, the ego of the scenario, and the recording.
-///
-/// # Errors
-/// [`Error::Config`] when the file has other scenarios than the corpus; errors of the corpus, the file and the folder.
 pub fn score(
     (corpus, planned, out): (&Path, &Path, &Path),
     selection: &Selection,
@@ -67,24 +64,9 @@ pub fn score(
                 Err(error) => return Err(error.into()),
             }
         }
-        let drives: Result<Vec<_>> = chunk
-            .par_iter()
-            .map(|(recorded, situation, states)| {
-                let steady = NamedDriver::ConstantVelocity;
-                let drive = |situation: &Situation, driver: &mut dyn Driver| replayed(situation, driver);
-                let mut drives = vec![
-                    (PLANNED, drive(situation, &mut Plan { states, judged: VecDeque::new() })?),
-                    (NamedDriver::Careful.name(), careful(situation)?),
-                    (steady.name(), drive(situation, named(steady).as_mut())?),
-                    (SCENARIO, drive(situation, &mut Log)?),
-                ];
-                if let Some(recorded) = recorded {
-                    drives.push((RECORDED, drive(recorded, &mut Log)?));
-                }
-                Ok(drives)
-            })
-            .collect();
-        for ((_, situation, _), drives) in chunk.iter().zip(drives?) {
+        let all = chunk.par_iter().map(|(recorded, situation, states)| drives(recorded.as_ref(), situation, states));
+        let all = all.collect::<Result<Vec<_>>>()?;
+        for ((_, situation, _), drives) in chunk.iter().zip(all) {
             let careful_survives = Some(drives[1].1.outcome == Outcome::Survived);
             for (name, driven) in &drives {
                 report.count(name, driven);
@@ -123,6 +105,25 @@ fn replayed(situation: &Situation, driver: &mut dyn Driver) -> Result<Driven> {
     let horizon_s = (scene.n_timesteps - scene.n_history) as f64 * scene.dt_s;
     let config = RolloutConfig { horizon_s, replan_s: horizon_s };
     Ok(roll_out(situation, situation.start(0), driver, &Others::Replayed, &config, None)?)
+}
+
+/// The drives of a scenario, by their names in tables: with the planned states first, then with the careful driver.
+fn drives(
+    recorded: Option<&Situation>,
+    situation: &Situation,
+    states: &Planned,
+) -> Result<Vec<(&'static str, Driven)>> {
+    let steady = NamedDriver::ConstantVelocity;
+    let mut drives = vec![
+        (PLANNED, replayed(situation, &mut Plan { states, judged: VecDeque::new() })?),
+        (NamedDriver::Careful.name(), careful(situation)?),
+        (steady.name(), replayed(situation, named(steady).as_mut())?),
+        (SCENARIO, replayed(situation, &mut Log)?),
+    ];
+    if let Some(recorded) = recorded {
+        drives.push((RECORDED, replayed(recorded, &mut Log)?));
+    }
+    Ok(drives)
 }
 
 /// The drive of the careful driver. Whether it survives is what the corpus says, too ([`CarefulReplay`]): whoever hits

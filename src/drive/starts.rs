@@ -22,7 +22,6 @@ pub(super) struct Starts<'a> {
     limit: usize,
     /// Scenarios that cannot be driven, by reason.
     left_out: BTreeMap<String, u64>,
-    /// The buckets of the others.
     buckets: Buckets,
 }
 
@@ -81,9 +80,6 @@ impl<'a> Starts<'a> {
     }
 
     /// The scenarios that could not be driven, by reason, and the buckets of the others, once all are.
-    ///
-    /// # Errors
-    /// When no scenario was chosen, or none of the chosen ones can be driven.
     pub(super) fn finish(self) -> Result<(BTreeMap<String, u64>, Buckets)> {
         let n_left_out: u64 = self.left_out.values().sum();
         match self.n_chosen {

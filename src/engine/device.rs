@@ -184,10 +184,8 @@ mod tests {
     #[test]
     fn reports_say_when_products_are_rounded() {
         let compute = ComputeChoice { device: DeviceChoice::Cuda(0), precision: Precision::Bf16 };
-        assert_eq!(
-            (compute.to_string().as_str(), ComputeChoice::default().to_string().as_str()),
-            ("cuda, bf16", "cpu")
-        );
+        let found = (compute.to_string(), ComputeChoice::default().to_string());
+        assert_eq!(found, ("cuda, bf16".into(), "cpu".into()));
     }
 
     #[test]

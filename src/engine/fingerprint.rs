@@ -69,7 +69,8 @@ pub(super) fn fingerprint_to(
     files.sort();
     let is_own = names.is_some();
     let mut found = combined(root, &files, Reading::Ends, is_own)?;
-    if files.iter().any(|file| is_large(file)) {
+    let is_large = |file: &PathBuf| fs_err::metadata(file).is_ok_and(|metadata| metadata.len() > 2 * SAMPLED_BYTES);
+    if files.iter().any(is_large) {
         let times = combined(root, &files, Reading::Times, is_own)?.hash;
         let known = known.filter(|known| found.agrees_with(known) && known.times.as_ref() == Some(&times));
         found.whole = match known.and_then(|known| known.whole.clone()) {
@@ -87,10 +88,6 @@ enum Reading {
     Ends,
     Whole,
     Times,
-}
-
-fn is_large(file: &Path) -> bool {
-    fs_err::metadata(file).is_ok_and(|metadata| metadata.len() > 2 * SAMPLED_BYTES)
 }
 
 /// The hash of one file, or of the files below `root` with their names. Files of our own that exist must be readable.

@@ -22,8 +22,7 @@ pub struct StageKind {
     pub outputs: &'static [&'static str],
     /// Whether readers of its outputs compare them with checksums, file by file.
     pub is_checked_by_readers: bool,
-    /// The file names of its shards if several processes can make them at once; `None` if one process does all the
-    /// work.
+    /// The file names of its shards if several processes can make them at once; `None` if one process does all.
     pub shards: Option<ShardNames>,
 }
 

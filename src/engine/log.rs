@@ -42,8 +42,7 @@ impl<'a> Logged<'a> {
 
 impl LogState {
     fn line(&mut self, message: &str) {
-        // A log that cannot be written (a full disk) must not end the work: the outputs will report the problem if they
-        // fail, too.
+        // A log that cannot be written (a full disk) must not end the work: outputs that fail will report the problem.
         let _ = writeln!(self.file, "{} {message}", utc_now());
     }
 }

@@ -94,7 +94,6 @@ struct Pipeline<'a> {
     version: u32,
     fails: bool,
     redo: Vec<&'static StageKind>,
-    /// The second stage.
     kind: &'static StageKind,
     heard: Heard,
 }
@@ -318,11 +317,8 @@ fn unfinished_work_is_taken_up_if_nothing_changed_and_dropped_otherwise() {
         let (actions, ran, outcome) = whole.run();
         outcome.unwrap();
         assert_eq!((actions, ran), (vec![Action::Reuse, Action::Resume], vec![kind("mine")]));
-        assert_eq!(
-            fs_err::read_to_string(whole.root.join("events.parquet")).unwrap(),
-            "bba1,2",
-            "the first b was kept"
-        );
+        let found = fs_err::read_to_string(whole.root.join("events.parquet")).unwrap();
+        assert_eq!(found, "bba1,2", "the first b was kept");
     });
     in_folder(|pipeline| {
         let broken = Pipeline { fails: true, ..pipeline };

@@ -1,5 +1,4 @@
-//! Does running stages again lose anything: foreign files, earlier outputs, trained models? On stages that write a few
-//! lines.
+//! Does running stages again lose anything: foreign files, earlier outputs, trained models? On tiny stages.
 
 mod crafted;
 mod toy;
@@ -149,10 +148,8 @@ fn an_output_that_is_read_is_refused_before_anything_happens() {
         let inputs = vec![StageInput::external("start_from", &root.join(input))];
         let failure = run(&root, &Toy { inputs, ..toy("next") }, &[]).err().unwrap();
         let said = format!("{failure:?}");
-        assert!(
-            failure.blame == Blame::Input && said.contains("start_from") && said.contains("nothing was changed"),
-            "{said}"
-        );
+        assert!(failure.blame == Blame::Input && said.contains("start_from"), "{said}");
+        assert!(said.contains("nothing was changed"), "{said}");
         assert!(snapshot(dir.path()) == before, "{said}");
     }
 }

@@ -16,7 +16,6 @@ const fn plain(name: &'static str, section: &'static str, outputs: &'static [&'s
     }
 }
 
-/// All kinds.
 pub(super) static KINDS: [StageKind; 5] = [
     StageKind { is_checked_by_readers: true, ..plain("ingest", "ingest", &["scenes"]) },
     plain("mine", "mine", &["events.parquet", "mining.json"]),
@@ -32,7 +31,6 @@ pub(super) static KINDS: [StageKind; 5] = [
     plain("evaluate", "evaluate", &["corpus", "metrics.json"]),
 ];
 
-/// The kind with this name.
 pub(super) fn kind(name: &str) -> &'static StageKind {
     KINDS.iter().find(|kind| kind.name == name).unwrap()
 }

@@ -33,7 +33,6 @@ const NEW_FILE: &str = ".djinn-new";
 /// The folder of earlier outputs that were replaced and are about to be removed.
 const REPLACED: &str = "replaced";
 
-/// The folder in which a stage works.
 pub(super) struct WorkFolder {
     root: PathBuf,
     dir: PathBuf,
@@ -150,8 +149,7 @@ impl WorkFolder {
         Ok(record)
     }
 
-    /// Finishes what earlier processes left unfinished: puts whole outputs in place, and removes what was about to be
-    /// removed.
+    /// Finishes what earlier processes left unfinished: puts whole outputs in place, and ends removals.
     pub(super) fn complete_all(root: &Path, kinds: &'static [StageKind]) -> Result<()> {
         for stage in kinds {
             let work = Self::of(root, stage);
@@ -197,8 +195,7 @@ impl WorkFolder {
     }
 
     /// Puts the output `name` in place. Files are renamed over earlier ones, folders are exchanged with them, so that
-    /// there is always one or the other. The earlier one then gets the name under which it stays, or is put where it
-    /// will be removed.
+    /// there is always one or the other. The earlier one then gets the name under which it stays, or is removed.
     fn put_in_place(&self, name: &str, as_name: Option<&String>) -> Result<()> {
         let (new, place) = (self.dir.join(name), self.root.join(name));
         let away = as_name.map_or_else(|| self.dir.join(REPLACED).join(name), |as_name| self.root.join(as_name));

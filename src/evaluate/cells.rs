@@ -28,7 +28,6 @@ pub(super) struct CellFigures {
     pub(super) together: Vec<Option<f64>>,
     /// Each sample alone.
     pub(super) alone: Vec<Vec<Option<f64>>>,
-    /// The assessment of each sample.
     pub(super) assessments: Vec<Assessment>,
     /// The judgments of the recording and of the baseline, if they are measured.
     pub(super) references_judged: Option<[ReferenceJudgment; 2]>,

@@ -110,7 +110,6 @@ impl CellTracks {
         Self { recorded: Vec::new(), ..self }
     }
 
-    /// The tracks of the sample with this number.
     fn sample(&self, idx: usize) -> impl Iterator<Item = &TrackFeatures> {
         self.samples.get(idx).into_iter().flatten().flatten()
     }
@@ -121,11 +120,9 @@ impl CellTracks {
 pub(super) struct CellKey {
     pub(super) series: SeriesKey,
     pub(super) place: String,
-    /// The index of the scene in the store.
     pub(super) scene_idx: usize,
 }
 
-/// A scene of a series.
 struct PooledScene {
     place: String,
     classes: Vec<AgentClass>,
@@ -203,8 +200,7 @@ struct TestedSeries {
     test: TwoSampleTest,
 }
 
-/// The results of the classifiers, and how recorded scenarios look to them. Series with too few tracks or scenes are
-/// left out.
+/// The classifiers' results, and how recorded scenarios look to them. Series with few tracks or scenes are left out.
 #[derive(Default)]
 pub struct Distinguished {
     series: Vec<TestedSeries>,

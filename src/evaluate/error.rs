@@ -5,15 +5,11 @@ use crate::store;
 
 /// A failure of evaluation.
 #[derive(Debug, thiserror::Error)]
+#[expect(missing_docs, reason = "the messages tell what the fields are")]
 pub enum Error {
     /// A setting that cannot work.
     #[error("{message}; {advice}")]
-    Config {
-        /// The key, its value and what was expected.
-        message: String,
-        /// The remedy.
-        advice: String,
-    },
+    Config { message: String, advice: String },
     /// A sample continues a scene that the store does not have.
     #[error("scene {0} of the samples is not in the scene store; pass the scenes that the samples were generated from")]
     UnknownScene(SceneId),
@@ -22,12 +18,7 @@ pub enum Error {
         "figures of {found} cells belong to another shard than the one with {expected}; measure it again with --redo \
          evaluate"
     )]
-    OtherShard {
-        /// Cells of the shard.
-        expected: usize,
-        /// Cells with figures.
-        found: usize,
-    },
+    OtherShard { expected: usize, found: usize },
     /// A file of ours could not be read or written.
     #[error(transparent)]
     Store(#[from] store::Error),

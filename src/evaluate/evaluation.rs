@@ -42,9 +42,6 @@ impl Evaluated {
     }
 
     /// The metric values of a corpus with all scenarios: aggregates, then those of scenarios.
-    ///
-    /// # Errors
-    /// See [`Evaluated::all_rows`].
     pub fn rows_of_corpus(&self) -> Result<impl Iterator<Item = store::Result<MetricRow>>> {
         Ok(self.aggregates().chain(self.rows.of_scenarios()?))
     }

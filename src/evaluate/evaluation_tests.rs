@@ -6,7 +6,7 @@ use super::evaluation::{Evaluation, EvaluationFiles};
 use super::gate_config::GatesConfig;
 use super::measure::{MeasuredShard, Measurer, Shard, ShardFigures};
 use super::summary::EvaluationSummary;
-use crate::generate::RejectedSample;
+use crate::generate::{RejectedSample, Rejection};
 use crate::metrics::MetricRow;
 use crate::progress::Silent;
 use crate::scenario::ScenarioRecord;
@@ -67,7 +67,7 @@ fn evaluated(order: [usize; N_SHARDS]) -> (EvaluationSummary, Vec<MetricRow>, Ve
         level: GuidanceLevel::of_strength(2.0),
         sample_idx: 9,
         seed: 1,
-        reason: "track 3 is not finite at timestep 12".to_owned(),
+        reason: Rejection::Unfit("track 3 is not finite at timestep 12".to_owned()),
     };
     evaluation.count_rejected([rejected].iter());
     let found = evaluation.finish().unwrap();

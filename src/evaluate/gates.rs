@@ -68,7 +68,6 @@ impl<'a> Measured<'a> {
         self.means.iter().find(|row| row.metric == metric && row.series() == *series).map(|row| row.value)
     }
 
-    /// A result for each series.
     fn validity_rate(&self, bound: f64) -> Vec<GateResult> {
         let (name, metric) = ("min_validity_rate", "validity_rate");
         let of_series = |series: &SeriesKey| {

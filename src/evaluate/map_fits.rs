@@ -58,17 +58,11 @@ impl MapFitRow {
 
 impl MapFits {
     /// Of all places with lanes.
-    ///
-    /// # Errors
-    /// When scenes cannot be read.
     pub fn of(store: &SceneStore, config: &ValidityConfig) -> Result<Self> {
         Self::with_areas(store, config, true)
     }
 
     /// Of all places with lanes, without the driven areas: for those who do not judge departures.
-    ///
-    /// # Errors
-    /// When scenes cannot be read.
     pub fn of_maps_alone(store: &SceneStore, config: &ValidityConfig) -> Result<Self> {
         Self::with_areas(store, config, false)
     }

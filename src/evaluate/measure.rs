@@ -26,8 +26,7 @@ pub struct Shard<'a> {
     pub records: Vec<ScenarioRecord>,
 }
 
-/// The results of measuring a shard, to be saved if another process merges the shards: without the samples and
-/// recordings themselves.
+/// The results of measuring a shard, to be saved if another process merges the shards: without samples and recordings.
 #[derive(Clone, PartialEq, Serialize, Deserialize)]
 pub struct ShardFigures {
     /// The cells, in order of first appearance.
@@ -58,11 +57,8 @@ pub struct MeasuredShard {
     pub(super) cells: Vec<MeasuredCell>,
 }
 
-/// A cell with its figures.
 pub(super) struct MeasuredCell {
-    /// The key of the cell.
     pub(super) key: CellKey,
-    /// The scene that it continues.
     pub(super) recorded: Scene,
     /// The scenarios, in order.
     pub(super) scenario_ids: Vec<String>,
@@ -75,9 +71,6 @@ pub(super) struct MeasuredCell {
 
 impl MeasuredShard {
     /// The shard with its figures. Cells are assembled in parallel.
-    ///
-    /// # Errors
-    /// When the figures are of another shard, or a scene is missing or damaged.
     pub fn new(shard: Shard<'_>, figures: ShardFigures, store: &SceneStore) -> Result<Self> {
         let Shard { n_evaluations, records, .. } = shard;
         let cells = into_cells(&records);
@@ -135,9 +128,6 @@ impl<'a> Measurer<'a> {
     }
 
     /// Measures the cells of a shard in parallel. Recorded events that it reads are kept for the next shard.
-    ///
-    /// # Errors
-    /// When a scene is missing or damaged, or the events are.
     pub fn measure(&mut self, shard: &Shard<'_>) -> Result<ShardFigures> {
         let asked = shard.records.iter().filter_map(|record| record.requested_behavior.as_deref());
         self.judge.learn_events(asked)?;

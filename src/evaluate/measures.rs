@@ -45,9 +45,7 @@ pub(super) struct Measures<'a> {
 /// The requested behavior and its agents.
 #[derive(Clone, Copy)]
 pub(super) struct Requested<'a> {
-    /// Its name.
     pub(super) behavior: &'a str,
-    /// Roles and tracks.
     pub(super) roles: &'a Roles,
 }
 

@@ -15,9 +15,7 @@ use std::path::{Path, PathBuf};
 
 /// A scene, and its scenarios that form a cell.
 pub(super) struct CellNames<'a> {
-    /// The series of the scenarios.
     pub(super) series: &'a SeriesKey,
-    /// The place of the scene.
     pub(super) place: &'a str,
     pub(super) scene_id: &'a SceneId,
     /// The scenarios, in order.
@@ -27,7 +25,6 @@ pub(super) struct CellNames<'a> {
 /// The values of all metrics for a scene in a series, or for one of its scenarios.
 #[derive(Debug, Serialize, Deserialize)]
 struct Values {
-    /// The number of the series.
     series: usize,
     place: String,
     scene_id: SceneId,
@@ -47,8 +44,7 @@ pub(super) struct MetricRows {
 }
 
 impl MetricRows {
-    /// Starts without rows of these metrics. Creates files in the folder `scratch`, which last until the rows are
-    /// removed.
+    /// Starts without rows of these metrics. Creates files in `scratch`, which last until the rows are removed.
     pub(super) fn create(docs: Vec<MetricDoc>, scratch: &Path) -> Result<Self> {
         let of_scenarios = Spool::create(&scratch.join("metrics.scenarios.spool"))?;
         Ok(Self { docs, scratch: scratch.to_owned(), series: Vec::new(), of_scenarios })
@@ -150,7 +146,6 @@ impl FinishedRows {
         self.rows(&self.of_scenarios)
     }
 
-    /// Removes the files.
     pub(super) fn remove(self) -> Result<()> {
         let mut spools = self.series.into_iter().map(|(_, spool)| spool).chain([self.of_scenarios]);
         Ok(spools.try_for_each(Spooled::remove)?)

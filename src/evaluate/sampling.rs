@@ -1,5 +1,4 @@
-//! How many scenarios does each sweep have by place and strength, and how many are verified, new, colliding or off the
-//! road?
+//! How many scenarios has each sweep by place and strength, and how many are verified, new, colliding or off the road?
 
 use super::cells::CellSamples;
 use crate::metrics::{CollisionRate, Metric, OffroadRate, SampleGroup, SeriesKey};

@@ -3,7 +3,7 @@
 
 use super::config::{EvaluateConfig, Keep};
 use crate::behavior::{Behavior, needs_cause};
-use crate::generate::RejectedSample;
+use crate::generate::{RejectedSample, Rejection};
 use crate::metrics::{Check, PairPath, PathIndex};
 use crate::scenario::{Assessment, RequestOutcome, ScenarioRecord, VerdictRow};
 use crate::scene::GuidanceLevel;
@@ -89,13 +89,15 @@ impl<'a> Verdicts<'a> {
 
     /// Counts a sample that is not a scenario.
     pub(super) fn count_rejected(&mut self, rejected: &RejectedSample) {
-        let reason = if rejected.repeats() { NEAR_DUPLICATE } else { NOT_FINITE };
+        let reason = match rejected.reason {
+            Rejection::RepeatedTemplate => NEAR_DUPLICATE,
+            Rejection::Unfit(_) => NOT_FINITE,
+        };
         self.count(("generate", &rejected.sweep, rejected.level), reason, true);
     }
 
     /// Completes the judgment of a record and returns the verdict. Records must come in the order of the samples,
-    /// because the first of several near-duplicates is accepted. `not_checked` lists the checks of validity that were
-    /// not made.
+    /// because the first of several near-duplicates is accepted. `not_checked` lists the checks that were not made.
     pub(super) fn decide(&mut self, record: &mut ScenarioRecord, not_checked: &[Check]) -> VerdictRow {
         let path = PairPath::of(&record.scenario.scene, &record.scenario.provenance.guidance.roles);
         let (scenario_id, level) = (record.scenario.id.clone(), record.scenario.provenance.guidance.level);
@@ -148,8 +150,7 @@ impl<'a> Verdicts<'a> {
         if !record.verified {
             reasons.push(if record.requested_behavior.is_some() { NOT_VERIFIED } else { NOTHING_ASKED });
         }
-        // A scenario that a request did not take is named by its outcome, unless nothing was found, which is a reason
-        // already.
+        // A scenario that a request did not take is named by its outcome, unless nothing was found, which is a reason.
         reasons.extend(unwanted_outcome(record).filter(|_| record.verified).map(RequestOutcome::name));
         reasons.extend(assessment.violations.iter().map(|violation| violation.check.name()));
         let needs_cause =

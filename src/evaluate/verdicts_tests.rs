@@ -4,7 +4,7 @@ use super::config::{EvaluateConfig, Keep};
 use super::testing;
 use super::verdicts::{AcceptanceRow, LeftOutRow, Verdicts, left_out_by_sweep};
 use crate::behavior::{Behavior, BehaviorEvent, CutIn, EventLabel, LaneChange};
-use crate::generate::RejectedSample;
+use crate::generate::{RejectedSample, Rejection};
 use crate::metrics::{Check, Violation};
 use crate::scenario::{Assessment, RequestOutcome, RequestTag, ScenarioRecord, VerdictRow};
 use crate::scene::testing::{Drive, scene};
@@ -153,12 +153,11 @@ fn what_generation_left_out_is_counted_too() {
         level: GuidanceLevel::of_strength(2.0),
         sample_idx,
         seed: 1,
-        reason: "track 3 is not finite at timestep 12".to_owned(),
+        reason: Rejection::Unfit("track 3 is not finite at timestep 12".to_owned()),
     };
     let config = EvaluateConfig::default();
     let mut verdicts = Verdicts::new(&config, &[]);
-    let repeated =
-        RejectedSample { reason: "its template repeats that of an earlier sample".to_owned(), ..rejected(2) };
+    let repeated = RejectedSample { reason: Rejection::RepeatedTemplate, ..rejected(2) };
     [rejected(0), rejected(1), repeated].iter().for_each(|rejected| verdicts.count_rejected(rejected));
     let (_, left_out) = verdicts.finish();
     let counts: Vec<_> = left_out.iter().map(|row| (row.reason.as_str(), row.level, row.n_left_out)).collect();

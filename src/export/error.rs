@@ -5,6 +5,7 @@ use std::path::PathBuf;
 
 /// A failure to export.
 #[derive(Debug, thiserror::Error)]
+#[expect(missing_docs, reason = "the messages tell what the fields are")]
 pub enum Error {
     /// The file system refused; the message names the path.
     #[error(transparent)]
@@ -17,38 +18,16 @@ pub enum Error {
     Files(files::Error),
     /// No scenario passes the selection.
     #[error("none of the {n_scenarios} scenarios of {} is {wanted}", .corpus.display())]
-    NothingSelected {
-        /// The corpus.
-        corpus: PathBuf,
-        /// The number of its scenarios.
-        n_scenarios: usize,
-        /// The selection.
-        wanted: String,
-    },
+    NothingSelected { corpus: PathBuf, n_scenarios: usize, wanted: String },
     /// The format is for recordings and cannot leave the ego free.
     #[error("{format} cannot leave the ego free: it is a format of recordings; use commonroad or openscenario")]
-    EgoIsReplayed {
-        /// The format.
-        format: &'static str,
-    },
+    EgoIsReplayed { format: &'static str },
     /// The format cannot represent any of the scenarios.
     #[error("none of the {n_scenarios} scenarios can be represented as {format}: {reasons}")]
-    NothingWritten {
-        /// The format.
-        format: &'static str,
-        /// The number of scenarios that were tried.
-        n_scenarios: u64,
-        /// The reasons with their counts.
-        reasons: String,
-    },
+    NothingWritten { format: &'static str, n_scenarios: u64, reasons: String },
     /// A table could not be encoded.
     #[error("cannot encode {}: {detail}", .path.display())]
-    Encode {
-        /// The file.
-        path: PathBuf,
-        /// The cause.
-        detail: String,
-    },
+    Encode { path: PathBuf, detail: String },
 }
 
 impl From<files::Error> for Error {

@@ -104,8 +104,7 @@ impl ExportFormat {
         matches!(self, Self::CommonRoad | Self::OpenScenario)
     }
 
-    /// The default motion of the ego. CommonRoad is for planners, which would collide with a replayed ego at their
-    /// first step.
+    /// The default motion of the ego. CommonRoad is for planners, which would collide with a replayed ego at once.
     pub const fn usual_ego(self) -> EgoMotion {
         match self {
             Self::CommonRoad => EgoMotion::Free,
@@ -140,7 +139,6 @@ struct Item<'a> {
     stem: String,
     /// Index into the scene's tracks.
     ego_idx: usize,
-    /// The terms of the recording.
     terms: &'a str,
 }
 
@@ -168,7 +166,6 @@ impl Item<'_> {
     }
 }
 
-/// The outcome of a scenario.
 enum ExportOutcome {
     Written(Written),
     /// Why it was left out: a stable code, such as `no_lanes`.
@@ -185,7 +182,6 @@ struct Written {
     first_timestep: usize,
     /// For each track its name in the file, or a stable code for the reason why it is left out.
     tracks: Vec<std::result::Result<String, &'static str>>,
-    /// Counts by stable code of values that the format requires and the scenario lacks, or that the format cannot
-    /// represent.
+    /// Counts by stable code of values that the scenario lacks and the format requires, or cannot represent.
     assumed: Vec<(&'static str, u64)>,
 }

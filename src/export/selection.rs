@@ -25,9 +25,6 @@ pub struct Selection {
 
 impl Selection {
     /// The positions of the candidates, ascending: of all scenarios, or of the named ones.
-    ///
-    /// # Errors
-    /// When the corpus lacks a named one.
     pub(crate) fn positions(&self, reader: &CorpusReader) -> crate::store::Result<Vec<usize>> {
         if self.scenario_ids.is_empty() {
             let is_wanted = |(behavior, accepted): (Option<&str>, bool)| {

@@ -187,7 +187,6 @@ impl Node {
         found.unwrap_or_else(|| panic!("{} has no {name}", self.name))
     }
 
-    /// All children with this name.
     pub(super) fn all(&self, name: &str) -> Vec<&Self> {
         self.children.iter().filter(|child| child.name == name).collect()
     }

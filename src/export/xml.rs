@@ -19,7 +19,6 @@ pub(super) const fn element(name: &'static str) -> Element {
     Element { name, attributes: Vec::new(), children: Vec::new(), text: None }
 }
 
-/// An element with a text or number.
 pub(super) fn leaf(name: &'static str, text: impl Display) -> Element {
     Element { text: Some(allowed(text)), ..element(name) }
 }
@@ -38,7 +37,6 @@ impl Element {
         self
     }
 
-    /// Adds a child.
     pub(super) fn child(mut self, child: Self) -> Self {
         self.children.push(child);
         self
@@ -50,7 +48,6 @@ impl Element {
         self
     }
 
-    /// Writes the document with this root.
     pub(super) fn write_document(&self, sink: &mut dyn Write) -> io::Result<()> {
         let mut writer = Writer::new_with_indent(sink, b' ', 2);
         writer.write_event(Event::Decl(BytesDecl::new("1.0", Some("UTF-8"), None)))?;

@@ -32,8 +32,7 @@ impl FileStamp {
 }
 
 /// A file written beside its place, under a name that no other writer has, and renamed when whole. Dropping it without
-/// [`commit`](Self::commit) removes it. It is entered in the list of written files of a folder above it, if one keeps a
-/// list.
+/// [`commit`](Self::commit) removes it. It is entered in the list of written files of a folder above, if there is one.
 #[derive(Debug)]
 pub struct AtomicFile {
     /// `None` once committed.
@@ -124,8 +123,7 @@ pub fn write_atomically<E: From<io::Error>>(
     Ok(file.commit()?)
 }
 
-/// Gives the file at `from` a second name, or copies it if the file system has no links. Only the whole file ever
-/// appears under `to`.
+/// Gives the file at `from` a second name, or copies it if the file system has no links. Only the whole file appears.
 ///
 /// # Errors
 /// On I/O errors; nothing new is then under `to`.

@@ -6,6 +6,7 @@ use std::path::PathBuf;
 
 /// A refusal to write.
 #[derive(Debug, thiserror::Error)]
+#[expect(missing_docs, reason = "the messages tell what the fields are")]
 pub enum Error {
     /// The file system refused; the message names the path.
     #[error(transparent)]
@@ -17,16 +18,7 @@ pub enum Error {
         .output.display(),
         .input.display()
     )]
-    Overlap {
-        /// The output.
-        output: PathBuf,
-        /// Its relation to the input.
-        relation: PathRelation,
-        /// The role of the input in the command.
-        name: String,
-        /// The input.
-        input: PathBuf,
-    },
+    Overlap { output: PathBuf, relation: PathRelation, name: String, input: PathBuf },
     /// A place with files that no list of ours names.
     #[error(
         "cannot write {}: it holds {}, which djinn did not write; nothing was changed; move that away, or choose \
@@ -34,60 +26,33 @@ pub enum Error {
         .path.display(),
         few(.found)
     )]
-    Foreign {
-        /// The file or folder that would be written.
-        path: PathBuf,
-        /// Files found there, relative to the folder.
-        found: Vec<PathBuf>,
-    },
+    Foreign { path: PathBuf, found: Vec<PathBuf> },
     /// A symbolic link in the place of an output.
     #[error(
         "cannot write {}: it is a symbolic link, which djinn did not create; nothing was changed; remove the link, or \
          choose another output",
         .path.display()
     )]
-    Link {
-        /// The link.
-        path: PathBuf,
-    },
+    Link { path: PathBuf },
     /// A list of ours with entries that djinn cannot have written.
     #[error(
         "{} is damaged: {detail}; nothing was changed; move the folder {} away, and run the same command again",
         .path.display(),
         .path.parent().unwrap_or(.path).display()
     )]
-    Damaged {
-        /// The list.
-        path: PathBuf,
-        /// Description of the fault.
-        detail: String,
-    },
+    Damaged { path: PathBuf, detail: String },
     /// A place to which another process writes.
     #[error("{} is in use by {holder}; wait for it, or choose another output", .path.display())]
-    Busy {
-        /// The file or folder.
-        path: PathBuf,
-        /// The process that holds it.
-        holder: String,
-    },
+    Busy { path: PathBuf, holder: String },
     /// A folder that must be new.
     #[error("{} exists and is not empty; choose a new folder", .path.display())]
-    Exists {
-        /// The folder.
-        path: PathBuf,
-    },
+    Exists { path: PathBuf },
     /// A file in place of a folder.
     #[error("{} is a file; choose a new folder", .path.display())]
-    IsFile {
-        /// The file.
-        path: PathBuf,
-    },
+    IsFile { path: PathBuf },
     /// A path without a name at its end, such as `..`.
     #[error("{} cannot name a new folder", .path.display())]
-    Unnamed {
-        /// The path.
-        path: PathBuf,
-    },
+    Unnamed { path: PathBuf },
 }
 
 /// The relation of an output to an input.

@@ -28,9 +28,6 @@ pub fn keep_list(dir: &Path) -> Result<()> {
 }
 
 /// The files that the list of `dir` names, whether or not they exist; `None` if the folder keeps no list.
-///
-/// # Errors
-/// [`Error::Damaged`] when it holds entries that this module did not write; errors of the file system.
 pub fn listed(dir: &Path) -> Result<Option<BTreeSet<PathBuf>>> {
     let path = dir.join(LIST_FILE);
     if is_link(&path) || !path.is_file() {
@@ -49,8 +46,7 @@ pub fn listed(dir: &Path) -> Result<Option<BTreeSet<PathBuf>>> {
     Ok(Some(names))
 }
 
-/// Whether a name in a list or record, relative to a folder, is that of something below it: plain parts between
-/// slashes.
+/// Whether a name in a list or record, relative to a folder, is that of something below it: plain parts.
 pub fn stays_below(name: &str) -> bool {
     let is_plain = |part: &str| !part.is_empty() && part != "." && !part.contains('\0');
     let is_normal = |part| matches!(part, Component::Normal(_));
@@ -72,8 +68,7 @@ fn name_on(line: &[u8]) -> Option<PathBuf> {
     (stays_below(&name) && line_of(&name).ok()? == line).then(|| PathBuf::from(name))
 }
 
-/// The number of bytes at the end of a list that are the beginning of a line cut off by a kill: the file that it would
-/// have named was not begun.
+/// The number of bytes at the end of a list that are the beginning of a line cut off by a kill: its file was not begun.
 fn n_cut_off(list: &[u8]) -> usize {
     let last = list.rsplit(|byte| *byte == b'\n').next().unwrap_or_default();
     let after_name = last.windows(2).rposition(|pair| pair == b"\" ").map(|at| last.len() - at - 2);
@@ -148,9 +143,6 @@ pub fn remove_listed(dir: &Path, ours: &BTreeSet<PathBuf>) -> Result<Vec<PathBuf
 
 /// Removes the files in the folder `dir` that the list in it or above it names, so that a writer can begin anew;
 /// creates the folder if it is missing.
-///
-/// # Errors
-/// [`Error::Foreign`] when it holds anything else, [`Error::Link`] when it is a link; errors of the file system.
 pub fn clear(dir: &Path) -> Result<()> {
     check_no_link(dir)?;
     let mut ours = BTreeSet::new();
@@ -172,9 +164,6 @@ pub fn clear(dir: &Path) -> Result<()> {
 
 /// Removes the partial files of files that the list of `dir` names, and from the list a line that a kill cut off. No
 /// process may be writing there: the files are leftovers then.
-///
-/// # Errors
-/// As [`listed`]; [`Error::Link`] when `dir` is a link.
 pub fn remove_leftovers(dir: &Path) -> Result<()> {
     check_no_link(dir)?;
     let Some(ours) = listed(dir)? else { return Ok(()) };

@@ -9,7 +9,6 @@ use candle_core::Tensor;
 use std::ops::Range;
 
 impl<'g> Generator<'g> {
-    /// The baseline, for a sweep of it.
     pub(super) fn baseline(&self, sweep: &ResolvedSweep) -> Result<&'g TrainedSceneTransformer, Error> {
         self.models.baseline.ok_or_else(|| {
             let why = "model = \"baseline\" needs a trained baseline; add a section [train.baseline]";
@@ -17,8 +16,7 @@ impl<'g> Generator<'g> {
         })
     }
 
-    /// Refuses a baseline that has too few futures, or that was trained on a different kind of scenes than the
-    /// denoiser.
+    /// Refuses a baseline with too few futures, or trained on a different kind of scenes than the denoiser.
     pub(super) fn check_baseline(&self, sweep: &ResolvedSweep) -> Result<(), Error> {
         if !sweep.uses_baseline() {
             return Ok(());

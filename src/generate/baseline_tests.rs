@@ -80,10 +80,8 @@ fn the_likeliest_futures_come_first_and_say_what_made_them() {
         for (sample_idx, (record, (expected, p))) in samples.iter().zip(&futures).enumerate() {
             let provenance = &record.scenario.provenance;
             assert_eq!((provenance.sample_idx, provenance.checkpoint.as_str()), (sample_idx, "baseline"));
-            assert_eq!(
-                (provenance.guidance.kind.as_str(), provenance.sampler.as_str()),
-                ("scene_transformer", "forward-1")
-            );
+            let found = (provenance.guidance.kind.as_str(), provenance.sampler.as_str());
+            assert_eq!(found, ("scene_transformer", "forward-1"));
             assert!((provenance.probability.unwrap() - p).abs() < 1e-5);
             assert!(difference_m(&record.scenario.scene, &as_stored(expected)) < 1e-2);
         }

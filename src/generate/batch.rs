@@ -7,7 +7,6 @@ use crate::diffusion::{Denoiser, NoiseSource, Step};
 use crate::guidance::{ClassifierFreeDenoiser, ForwardDenoiser, MaskChange};
 use crate::progress::Progress;
 use crate::scene::{GuidanceLevel, Scene, UnfitScene};
-use crate::seed::Seed;
 use crate::tensor::{FutureValidity, LeastProgress, SceneBatch, SceneView};
 use candle_core::Tensor;
 use std::ops::Range;
@@ -136,9 +135,11 @@ impl Generator<'_> {
 
     /// Diffused states (B, A, T, D) of all samples of a batch.
     fn denoise(&self, guided: &Guided<'_>, denoiser: &dyn Denoiser, progress: &dyn Progress) -> Result<Tensor, Error> {
+        // A sample's noise depends on the run's seed, the scene and the sample alone: all strengths of a scene start from
+        // the same noise, whatever the batches and shards.
         let seeds = guided.cells.iter().flat_map(|(cell, _)| {
             let scene_seed = self.seed().derive_named("noise", &cell.scene_id.0);
-            guided.samples.clone().map(move |sample_idx| sample_seed(scene_seed, sample_idx))
+            guided.samples.clone().map(move |sample_idx| scene_seed.derive("sample", &[sample_idx as u64]))
         });
         let mut noise = NoiseSource::new(seeds.collect());
         let like = &guided.repeated.x0;
@@ -151,12 +152,6 @@ impl Generator<'_> {
         }
         Ok(sampler.sample(edm, denoiser, &like.dims()[1..], like, &mut noise, &mut observer)?)
     }
-}
-
-/// The seed of a sample's noise. It depends only on the run's seed, the scene and the sample: all strengths of a scene
-/// start from the same noise, whatever the batches and shards.
-fn sample_seed(scene_seed: Seed, sample_idx: usize) -> Seed {
-    scene_seed.derive("sample", &[sample_idx as u64])
 }
 
 /// The scene, if all of its states are finite.

@@ -58,16 +58,11 @@ impl Conditioned {
         (!self.performers.is_empty()).then(|| PairPath::of(&self.with_maneuver(self.scene.clone()), asked)).flatten()
     }
 
-    fn is_performer(&self, agent_idx: usize) -> bool {
-        self.performers.iter().any(|(performer, _)| *performer == agent_idx)
-    }
-
-    /// The observed states of a scenario that continues this scene. States of a template count as generated, although
-    /// the denoiser observes them.
+    /// The observed states of a scenario that continues this scene. States of a template count as generated.
     pub(super) fn observed(&self, generated: &Scene) -> ObservationMask {
         ObservationMask::from_fn(generated.tracks.len(), generated.n_timesteps, |agent_idx, timestep| {
-            let is_made = timestep >= generated.n_history && self.is_performer(agent_idx);
-            !is_made
+            let performs = self.performers.iter().any(|(performer, _)| *performer == agent_idx);
+            !(performs && timestep >= generated.n_history)
                 && timestep < self.mask.n_timesteps()
                 && self.mask.is_observed(agent_idx, timestep)
                 && generated.state(agent_idx, timestep).is_some()
@@ -75,20 +70,36 @@ impl Conditioned {
     }
 }
 
+/// Which template a sample follows.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Variant {
+    pub(super) sample_idx: usize,
+    /// How many templates after the usual one of the sample.
+    pub(super) further: usize,
+}
+
 /// The templates of a cell that were solved so far, by target.
 #[derive(Debug, Default)]
-pub(super) struct Templates(Vec<(Target, Vec<Template>)>);
+pub(super) struct Templates {
+    /// How many are solved for a target at most.
+    n: usize,
+    solved: Vec<(Target, Vec<Template>)>,
+}
 
 impl Templates {
-    /// The template of this variant, cyclically, with this target; at first call `solve` lists those of the target.
-    fn get(&mut self, target: &Target, variant: usize, solve: impl FnOnce() -> Vec<Template>) -> Option<Template> {
-        let known = self.0.iter().position(|(known, _)| known == target);
+    pub(super) const fn new(n: usize) -> Self {
+        Self { n, solved: Vec::new() }
+    }
+
+    /// The template with this number, cyclically, with this target; at first call `solve` lists so many of the target.
+    fn get(&mut self, target: &Target, number: usize, solve: impl FnOnce(usize) -> Vec<Template>) -> Option<Template> {
+        let known = self.solved.iter().position(|(known, _)| known == target);
         let at = known.unwrap_or_else(|| {
-            self.0.push((target.clone(), solve()));
-            self.0.len() - 1
+            self.solved.push((target.clone(), solve(self.n)));
+            self.solved.len() - 1
         });
-        let templates = &self.0[at].1;
-        templates.get(variant % templates.len().max(1)).cloned()
+        let templates = &self.solved[at].1;
+        templates.get(number % templates.len().max(1)).cloned()
     }
 }
 
@@ -100,14 +111,14 @@ pub(super) struct Wanted {
 
 impl Generator<'_> {
     /// The scene of a cell, with these requested `agents`, as the denoiser sees it for all samples or, with a template,
-    /// for the one with this number; its template is so many `further` than the usual one, and one of the first `n`.
+    /// for one of them.
     pub(super) fn condition(
         &self,
         sweep: &ResolvedSweep,
         cell: &Cell,
         recorded: &Scene,
         agents: (usize, usize),
-        [sample_idx, further, n]: [usize; 3],
+        variant: Variant,
         templates: &mut Templates,
     ) -> Result<Conditioned, Error> {
         let refuse = |UnfitScene(why)| Error::Config(format!("sweep {}: scene {} {why}", sweep.name, cell.scene_id));
@@ -119,8 +130,7 @@ impl Generator<'_> {
                 scene = scene_edit.apply(&scene, &resolve).map_err(refuse)?;
             }
         }
-        let performers =
-            self.follow_template(sweep, (cell, [sample_idx, further, n]), (recorded, &mut scene), templates);
+        let performers = self.follow_template(sweep, (cell, variant), (recorded, &mut scene), templates);
         let subject = Subject { scene: &scene, ego_idx: agents.0, roles: &cell.roles };
         let mask = sweep.observe.mask(&subject, self.mask_seed("observe", cell)).map_err(refuse)?;
         if sweep.needs_classifier() {
@@ -151,21 +161,21 @@ impl Generator<'_> {
     fn follow_template(
         &self,
         sweep: &ResolvedSweep,
-        (cell, [sample_idx, further, n]): (&Cell, [usize; 3]),
+        (cell, Variant { sample_idx, further }): (&Cell, Variant),
         (recorded, scene): (&Scene, &mut Scene),
         templates: &mut Templates,
     ) -> Vec<(usize, Vec<State>)> {
         let Some(behavior) = self.behavior(sweep).filter(|_| sweep.uses_template()) else { return Vec::new() };
         let asked: Vec<usize> = cell.roles.tracks().filter_map(|track| recorded.track_idx(track)).collect();
         // The number of earlier samples of the pair with this target.
-        let variant = sample_idx / cell.targets.len().max(1) + further;
+        let n_earlier = sample_idx / cell.targets.len().max(1);
         let mut target = cell.target(sample_idx);
         target.retain(|name, _| behavior.template_parameters().contains(&name.as_str()));
         let planned = sweep.planned(recorded);
-        let mut solved = |target: &Target, variant: usize| {
-            templates.get(target, variant, || behavior.templates(&planned, &asked, target, n))
+        let mut solved = |target: &Target, number: usize| {
+            templates.get(target, number, |n| behavior.templates(&planned, &asked, target, n))
         };
-        let template = match solved(&target, variant) {
+        let template = match solved(&target, n_earlier + further) {
             None if !target.is_empty() => solved(&Target::new(), sample_idx + further),
             template => template,
         };

@@ -38,11 +38,7 @@ pub struct Continued<'a> {
 }
 
 impl<'a> Futures<'a> {
-    /// Futures by `model`: a distilled one takes the steps that it was distilled for, any other ten steps of
-    /// DPM-Solver++.
-    ///
-    /// # Errors
-    /// When the model cannot be sampled in this way.
+    /// Futures by `model`: a distilled one takes its own steps, any other ten of DPM-Solver++.
     pub fn new(model: &'a TrainedDenoiser, seed: u64, device: &'a Device) -> Result<Self, Error> {
         let sampler = match &model.spec.distillation {
             Some(Distillation::Steps { sigmas }) => {
@@ -90,18 +86,12 @@ impl<'a> Futures<'a> {
     }
 
     /// A future of everybody; the inner error tells why there is none, such as states that are not finite.
-    ///
-    /// # Errors
-    /// When the device fails.
     pub fn sample(&self, asked: &Continued<'_>) -> Result<Result<Scene, UnfitScene>, Error> {
         let sampled = self.several(asked, 1)?.pop();
         Ok(sampled.unwrap_or_else(|| Err(UnfitScene("has no agent to continue".to_owned()))))
     }
 
     /// `n` futures, each with a stream of noise of its own: those of this step and the next ones.
-    ///
-    /// # Errors
-    /// When the device fails.
     pub fn several(&self, asked: &Continued<'_>, n: usize) -> Result<Vec<Result<Scene, UnfitScene>>, Error> {
         let loader = |_| Err("futures load no scenes".into());
         let generator = self.generator(&loader);
@@ -134,9 +124,6 @@ impl<'a> Futures<'a> {
 
 impl<'a> Generator<'a> {
     /// Futures by the denoiser of a sweep, sampled as the sweep is but for its guidance.
-    ///
-    /// # Errors
-    /// When there is no such model, or it cannot be sampled in this way.
     pub fn futures(&self, sweep: &ResolvedSweep) -> Result<Futures<'a>, Error> {
         let (metric_settings, collator) = (self.metric_settings.clone(), Arc::clone(&self.collator));
         let own = Futures::new(self.denoiser(sweep)?, self.config.seed, self.device)?;

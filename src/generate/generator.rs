@@ -67,15 +67,10 @@ impl<'a> Generator<'a> {
         Seed(self.config.seed)
     }
 
-    /// The specification of the denoiser.
     pub(super) const fn spec(&self) -> &'a DenoiserSpec {
         &self.models.denoiser.spec
     }
 
-    /// The denoiser that a sweep samples from.
-    ///
-    /// # Errors
-    /// When the distilled denoiser is needed and there is none.
     pub(super) fn denoiser(&self, sweep: &ResolvedSweep) -> Result<&'a TrainedDenoiser, Error> {
         match (sweep.uses_distilled(), self.models.distilled) {
             (false, _) => Ok(self.models.denoiser),
@@ -123,8 +118,7 @@ impl<'a> Generator<'a> {
         Ok(scene)
     }
 
-    /// Rejects a distilled denoiser with other scales or timesteps than the denoiser, and either of the two in place of
-    /// the other.
+    /// Rejects a distilled denoiser with other scales or timesteps than the denoiser, and each in place of the other.
     fn check_distilled(&self, sweep: &ResolvedSweep) -> Result<(), Error> {
         let (own, spec) = (&self.denoiser(sweep)?.spec, self.spec());
         let is_alike = own.edm == spec.edm

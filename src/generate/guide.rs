@@ -26,13 +26,11 @@ fn rules_of_traffic(sweep: &ResolvedSweep) -> [ObjectiveConfig; 2] {
 
 /// A batch to be guided.
 pub(super) struct Guided<'a> {
-    /// The sweep.
     pub(super) sweep: &'a ResolvedSweep,
     /// The settings with which its denoiser is sampled.
     pub(super) diffusion: &'a Diffusion,
     /// Strength of the guidance, and weight of the target states.
     pub(super) level: GuidanceLevel,
-    /// The cells with their scenes.
     pub(super) cells: &'a [(&'a Cell, &'a Scene)],
     /// The requested agents of each cell; the first is at the center.
     pub(super) agents: &'a [(usize, usize)],

@@ -1,5 +1,4 @@
-//! From recorded scenes to new scenarios: what is generated, how is it sampled, and does it show the requested
-//! behavior?
+//! From recorded scenes to new scenarios: what is generated and how, and does it show the requested behavior?
 //!
 //! A [`Plan`] fixes everything that is drawn before anything is sampled: which scenes, which pairs of agents, in which
 //! shards. A shard depends on the plan, the models and the seed alone, so shards can be generated in any order, by any
@@ -55,7 +54,7 @@ pub use request::{
     ResolvedGeneration, ResolvedRequest, Round, RoundContext, RoundShard, ShardTally, Yield,
 };
 pub use rollout::{NamedDriver, SweepRollout, check_times};
-pub use sample::{RejectedSample, ShardOutput};
+pub use sample::{RejectedSample, Rejection, ShardOutput};
 pub use sweep::{
     Aim, ClassifierFreeConfig, ClassifierScope, Diffusion, EditConfig, ResolvedSweep, SampledModel, SweepConfig,
     SweepGuidance, SweepModel,

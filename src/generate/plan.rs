@@ -62,17 +62,11 @@ impl ShardPlan {
 impl Generator<'_> {
     /// The plan for the scenes of `index`. The same configuration, models and scenes give the same plan, whatever the
     /// order of the scenes (except for their indices).
-    ///
-    /// # Errors
-    /// When no scene fits a sweep, or a scene cannot be loaded.
     pub fn plan(&self, index: &SceneIndex) -> Result<Plan, Error> {
         self.plan_first(self.config.sweeps.len(), index)
     }
 
     /// The plan for the first `n_sweeps` sweeps: the later ones belong to requests, which plan round by round.
-    ///
-    /// # Errors
-    /// See [`Generator::plan`].
     pub fn plan_first(&self, n_sweeps: usize, index: &SceneIndex) -> Result<Plan, Error> {
         let mut plan = Plan { shards: Vec::new(), shortfalls: Vec::new() };
         let order = self.scenes_in_order(index, &|entry| entry.situation == SituationKind::Recorded);
@@ -100,8 +94,7 @@ impl Generator<'_> {
         Ok(plan)
     }
 
-    /// The cells of a request of this name by its first sweep, scene by scene, among the possible scenes of the chosen
-    /// splits and places.
+    /// The cells of a request of this name by its first sweep, scene by scene, among the chosen splits and places.
     pub(super) fn cells_by_scene(
         &self,
         (name, sweep): (&str, &ResolvedSweep),

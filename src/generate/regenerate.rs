@@ -34,9 +34,6 @@ impl Generator<'_> {
     /// round differently from those of many, so the other samples of its batch are denoised again, too.
     ///
     /// `None` if the shard has no such sample, or the sample did not become a scenario.
-    ///
-    /// # Errors
-    /// See [`Generator::generate`].
     pub fn regenerate(&self, shard: &ShardPlan, wanted: SampleKey) -> Result<Option<ScenarioRecord>, Error> {
         let Some(cell) = shard.cells.get(wanted.cell) else { return Ok(None) };
         let output = self.generate_part(

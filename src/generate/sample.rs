@@ -1,7 +1,7 @@
 //! How does a shard of the plan become scenarios? Scenes of similar size form batches, and their samples are checked.
 
 use super::batch::{Batch, Draw};
-use super::conditioning::{Conditioned, Templates};
+use super::conditioning::{Conditioned, Templates, Variant};
 use super::{Cell, Error, Generator, ResolvedSweep, ShardPlan, requested_events};
 use crate::metrics::PairPath;
 use crate::nn::in_pool;
@@ -35,27 +35,29 @@ pub struct RejectedSample {
     /// The run's seed.
     pub seed: u64,
     /// Why it is not a scenario.
-    pub reason: String,
+    pub reason: Rejection,
 }
 
-/// Why a sample is not drawn whose requested agents would move as in an earlier one of its shard.
-const REPEATED_TEMPLATE: &str = "its template repeats that of an earlier sample";
-/// How many more templates are tried for it.
+/// Why a sample is not a scenario: a text in files.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Rejection {
+    /// It was not drawn: its requested agents would move as in an earlier sample of the shard.
+    #[serde(rename = "its template repeats that of an earlier sample")]
+    RepeatedTemplate,
+    /// What is wrong with it.
+    #[serde(untagged)]
+    Unfit(String),
+}
+
+/// How many more templates are tried for a sample whose template repeats another.
 const N_FURTHER: usize = 2;
-
-impl RejectedSample {
-    /// Whether it was not drawn, because it would have repeated another; otherwise something is wrong with it.
-    pub fn repeats(&self) -> bool {
-        self.reason == REPEATED_TEMPLATE
-    }
-}
 
 /// A sample of a cell, or why there is none.
 #[derive(Debug, Clone)]
 struct Sampled {
     level: GuidanceLevel,
     sample_idx: usize,
-    draw: Result<Draw, UnfitScene>,
+    draw: Result<Draw, Rejection>,
 }
 
 /// The conditioning of the samples of a shard.
@@ -79,8 +81,6 @@ impl Given {
 /// The samples of a cell that were conditioned before one of them.
 #[derive(Debug, Default)]
 struct Before {
-    /// So many templates of a target may be asked for.
-    n: usize,
     templates: Templates,
     /// How the requested agents move in those of the samples.
     paths: Vec<PairPath>,
@@ -124,14 +124,17 @@ impl Generator<'_> {
                 let mut draws = in_pool(self.device, || self.sample(&batch, progress))?.into_iter();
                 for at in members {
                     let own = samples.clone().zip(draws.by_ref().take(samples.len()));
-                    sampled[at].extend(own.map(|(sample_idx, draw)| Sampled { level, sample_idx, draw }));
+                    sampled[at].extend(own.map(|(sample_idx, draw)| {
+                        let draw = draw.map_err(|UnfitScene(why)| Rejection::Unfit(why));
+                        Sampled { level, sample_idx, draw }
+                    }));
                 }
             }
             for (at, own) in sampled.iter_mut().enumerate() {
                 let all = shard.first_sample..shard.first_sample + sweep.n_samples;
                 let repeated = all.filter(|sample_idx| given.repeats(at, *sample_idx)).map(|sample_idx| {
                     progress.advance(1);
-                    Sampled { level, sample_idx, draw: Err(UnfitScene(REPEATED_TEMPLATE.to_owned())) }
+                    Sampled { level, sample_idx, draw: Err(Rejection::RepeatedTemplate) }
                 });
                 own.extend(repeated);
             }
@@ -150,7 +153,7 @@ impl Generator<'_> {
                         let sample = (level, sample_idx, draw.probability);
                         output.records.push(self.record(sweep, cell, recorded_event, scenario, sample)?);
                     }
-                    Err(UnfitScene(reason)) => {
+                    Err(reason) => {
                         let (scene_id, sweep, seed) = (cell.scene_id.clone(), sweep.name.clone(), self.config.seed);
                         output.rejected.push(RejectedSample { scene_id, sweep, level, sample_idx, seed, reason });
                     }
@@ -167,7 +170,7 @@ impl Generator<'_> {
         let of_cells = shard.cells.iter().zip(scenes).map(|(cell, scene)| {
             let agents = agents(cell, scene)?;
             let own = shard.first_sample..shard.first_sample + n_own;
-            let mut before = Before { n: own.end + N_FURTHER, ..Before::default() };
+            let mut before = Before { templates: Templates::new(own.end + N_FURTHER), ..Before::default() };
             own.map(|sample_idx| self.condition_anew(sweep, (cell, scene), agents, sample_idx, &mut before)).collect()
         });
         Ok(Given { of_cells: of_cells.collect::<Result<_, Error>>()?, first_sample: shard.first_sample })
@@ -183,20 +186,20 @@ impl Generator<'_> {
         sample_idx: usize,
         before: &mut Before,
     ) -> Result<Conditioned, Error> {
-        let Before { n, templates, paths } = before;
-        let mut given = self.condition(sweep, cell, scene, agents, [sample_idx, 0, *n], templates)?;
-        for further in 1.. {
-            let Some(path) = given.path(&cell.roles) else { break };
+        let Before { templates, paths } = before;
+        let mut variant = Variant { sample_idx, further: 0 };
+        loop {
+            let mut given = self.condition(sweep, cell, scene, agents, variant, templates)?;
+            let Some(path) = given.path(&cell.roles) else { return Ok(given) };
             given.repeats = paths.iter().any(|other| other.distance_m(&path) < self.config.duplicate_distance_m);
             if !given.repeats {
                 paths.push(path);
             }
-            if !given.repeats || further > N_FURTHER {
-                break;
+            if !given.repeats || variant.further == N_FURTHER {
+                return Ok(given);
             }
-            given = self.condition(sweep, cell, scene, agents, [sample_idx, further, *n], templates)?;
+            variant.further += 1;
         }
-        Ok(given)
     }
 
     /// Cells (by index) and samples that are denoised together. Scenes of similar size share a batch, so that there is

@@ -135,7 +135,6 @@ pub(super) fn resolve(toml: &str) -> ResolvedGeneration {
     config(toml).resolve(&drift()).unwrap()
 }
 
-/// The mined behavior.
 pub(super) fn drift() -> [Box<dyn Behavior>; 1] {
     [Box::new(Drift)]
 }

@@ -59,7 +59,6 @@ pub(crate) struct Footprint {
 }
 
 impl Footprint {
-    /// Prepares a box.
     pub(crate) fn new(oriented_box: &OrientedBox) -> Self {
         let OrientedBox { center, heading_rad, length_m, width_m } = *oriented_box;
         Self::along(center, Vec2::from_angle(heading_rad), [length_m, width_m])
@@ -116,8 +115,7 @@ impl Footprint {
         from_other.chain(from_self).fold(f64::INFINITY, f64::min).sqrt()
     }
 
-    /// Whether the two boxes are less than `limit_m` apart; never at a limit of 0, since boxes that overlap are 0
-    /// apart.
+    /// Whether the two boxes are less than `limit_m` apart; never at a limit of 0, the distance of boxes that overlap.
     pub(crate) fn is_closer_than(&self, other: &Self, limit_m: f64) -> bool {
         if limit_m <= 0.0 {
             return false;

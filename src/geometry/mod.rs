@@ -1,5 +1,4 @@
-//! Plane geometry in meters and radians, `f64`, without any input or output: how are points, frames, paths and boxes
-//! related?
+//! Plane geometry in meters and radians, `f64`, without any input or output: points, frames, paths and boxes.
 
 mod angle;
 pub(crate) mod footprint;

@@ -10,8 +10,7 @@ use candle_core::{Error, Result, Tensor, Var};
 
 /// A log potential of clean samples.
 pub trait CleanPotential {
-    /// The log potential J of each batch row, (B), higher is better. `x0` is (B, …). Differentiable in `x0`, row by
-    /// row.
+    /// The log potential J of each batch row, (B), higher is better. `x0` is (B, …). Differentiable in `x0`.
     fn log_potential(&self, x0: &Tensor) -> Result<Tensor>;
 }
 
@@ -125,11 +124,6 @@ impl CleanGuidedDenoiser<'_> {
     }
 }
 
-/// The scalar product of each row of `a` (B, …) with that of `b`.
-fn row_products(a: &Tensor, b: &Tensor) -> Result<Vec<f64>> {
-    sigma_rows(&(a * b)?.flatten_from(1)?.sum(1)?)
-}
-
 impl Denoiser for CleanGuidedDenoiser<'_> {
     fn denoise(&self, x: &Tensor, sigma: &Tensor) -> Result<Tensor> {
         let strength = |sigma| if self.gate.acts_at(sigma) { self.strength } else { 0.0 };
@@ -141,7 +135,7 @@ impl Denoiser for CleanGuidedDenoiser<'_> {
         let x0_hat = estimate.x0_hat();
         let (potential, gradient) = self.gradient(&x0_hat)?;
         let push = estimate.times_covariance(&gradient)?;
-        let products = row_products(&gradient, &push)?;
+        let products = sigma_rows(&(&gradient * &push)?.flatten_from(1)?.sum(1)?)?;
         let damping = |row: usize| {
             let bend = strengths[row] * products[row] / (2.0 * potential[row].abs());
             // It is undefined where the potential is at its best.

@@ -14,15 +14,14 @@ use candle_core::{Error, Result, Tensor};
 /// - **State.** Where C is known, so is its noise, and where noise is correlated over time (A mixes timesteps) that
 ///   says something of the noise on S. What is left, x' = A'⁻¹ (yₛ - P (y_c - y_c0) - b'ₛ) with P = Σₛ_c Σ_cc⁻¹ and
 ///   Σ = A Aᵀ, is all that x says of S; with uncorrelated noise it is just yₛ in the coordinates of the extended mask.
-/// - **Noise level.** The noise of x' is σ G n with G the linear part of the map, white at the same σ exactly if G
-///   Gᵀ = 1. That holds wherever the two masks give an agent the same frame and units: always in the scene
+/// - **Noise level.** The noise of x' is σ G n with G the linear part of the map, white at the same σ exactly if G Gᵀ
+///   is the identity. That holds wherever the two masks give an agent the same frame and units: always in the scene
 ///   parametrization, and in the others for agents that the base mask observes up to the present, because their frame
 ///   is that of the last such state. (Brownian noise, known at the entries C, is the noise of the bridges of the
-///   extended mask.) An agent that only the extended mask observes changes its frame and units; its noise is then of a
+///   extended mask.) An agent that only the extended mask observes changes its frame and units, and its noise has a
 ///   wrong share.
 pub struct MaskChange {
-    /// Places on the flattened (B · A) axis of the agents whose masks differ, (K); the others have the same mask in
-    /// both.
+    /// Places on the flattened (B · A) axis of the agents whose masks differ, (K).
     changed: Option<Changed>,
 }
 
@@ -50,9 +49,6 @@ struct AgentMap {
 impl MaskChange {
     /// The change between two batches of the same scenes, seen from the same agents. All latent entries of `extended`
     /// are latent in `base`, too.
-    ///
-    /// # Errors
-    /// When the batches do not belong together.
     pub fn new(base: &SceneBatch, extended: &SceneBatch) -> Result<Self> {
         if base.x0.dims() != extended.x0.dims() {
             candle_core::bail!("the batches of the two masks have different shapes");
@@ -196,8 +192,7 @@ fn restricted(matrix: &Matrix, places: &[usize]) -> Matrix {
     places.iter().map(|i| places.iter().map(|j| matrix[*i][*j]).collect()).collect()
 }
 
-/// X with A X = B, by elimination with partial pivoting; `None` if A is singular. Zeros are skipped: A is mostly
-/// block-diagonal or triangular.
+/// X with A X = B, by elimination with partial pivoting; `None` if A is singular. Zeros are skipped: A has many.
 fn solved(mut a: Matrix, mut b: Matrix) -> Option<Matrix> {
     let n = a.len();
     for column in 0..n {

@@ -4,8 +4,7 @@
 //!
 //! `GuidedDenoiser` follows log potentials over noisy tensors (the classifier of a pair), `CleanGuidedDenoiser` those
 //! over decoded clean estimates (the objectives), and `ClassifierFreeDenoiser` mixes two denoisers that are conditioned
-//! on more and on less. Each wraps a denoiser and is one, so they nest. Objectives see meters and radians, never
-//! diffused states.
+//! on more and on less. Each wraps a denoiser and is one, so they nest. Objectives see meters and radians.
 
 mod agent_selector;
 mod classifier;

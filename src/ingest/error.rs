@@ -40,76 +40,37 @@ impl From<&str> for Malformed {
 /// Why an ingest cannot continue.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
+#[expect(missing_docs, reason = "the messages tell what the fields are")]
 pub enum Error {
     /// The configuration contradicts itself or the dataset.
     #[error("ingest.{key}: {detail}")]
-    Config {
-        /// The offending key.
-        key: String,
-        /// The fault, and what to write instead.
-        detail: String,
-    },
+    Config { key: String, detail: String },
     /// An input that the operating system could not read; the message names the path.
     #[error(transparent)]
     Io(#[from] std::io::Error),
     /// A folder, archive or compressed file cannot be read to its end.
     #[error("cannot read {}{}: {detail}", .container.display(), in_container(.file))]
-    Container {
-        /// The folder or archive.
-        container: PathBuf,
-        /// The entry at fault, empty if the container itself is.
-        file: String,
-        /// The fault.
-        detail: String,
-    },
+    Container { container: PathBuf, file: String, detail: String },
     /// A map cannot be read.
     #[error("map {file}{}: {detail}", at_place(.place))]
-    Map {
-        /// The map file, within its container.
-        file: String,
-        /// Where in the file: a byte, line or element; empty if unknown.
-        place: String,
-        /// The fault.
-        detail: String,
-    },
+    Map { file: String, place: String, detail: String },
     /// Maps are required and none was found.
     #[error(
         "no {dataset} map found among {searched}{}{}; add the map files to `ingest.map_inputs`, or set \
          `ingest.maps = \"none\"`", .needed.as_ref().map_or(String::new(), |needed| format!(", as {needed} needs")),
         passed_over_in_words(.passed_over)
     )]
-    NoMaps {
-        /// The dataset.
-        dataset: &'static str,
-        /// The inputs that were searched.
-        searched: String,
-        /// A recording that needs one, if its name tells.
-        needed: Option<String>,
-        /// Archives among them that are not supported.
-        passed_over: Vec<String>,
-    },
+    NoMaps { dataset: &'static str, searched: String, needed: Option<String>, passed_over: Vec<String> },
     /// Maps are required and some places lack one.
     #[error(
         "no map for {}: the maps found are for {}{}; add the missing ones to `ingest.map_inputs`, restrict \
          `ingest.places`, or set `ingest.maps = \"none\"`", .missing.join(", "), .found.join(", "),
         passed_over_in_words(.passed_over)
     )]
-    MissingMaps {
-        /// Places without a map, each with the file of a recording.
-        missing: Vec<String>,
-        /// Maps that were found.
-        found: Vec<String>,
-        /// Archives that are not supported.
-        passed_over: Vec<String>,
-    },
+    MissingMaps { missing: Vec<String>, found: Vec<String>, passed_over: Vec<String> },
     /// Everything was read, but there are no scenes.
     #[error("no scenes: {files}; {}", .report.summary())]
-    NoScenes {
-        /// The files that were found.
-        files: String,
-        /// The report on them.
-        report: Box<IngestReport>,
-    },
+    NoScenes { files: String, report: Box<IngestReport> },
     /// The receiver of the scenes failed.
     #[error("cannot store ingested scenes")]
     Sink(#[source] BoxError),

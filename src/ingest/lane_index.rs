@@ -118,11 +118,8 @@ mod tests {
         assert_eq!(index.within_any(&[circle(150.0)]), [LaneId(1), LaneId(2)]);
         assert_eq!((index.has_any_within(circle(7.0)), index.has_any_within(circle(7.2))), (false, true));
         let at_the_other = Circle { center: Vec2::new(0.0, 200.0), radius_m: 1.0 };
-        assert_eq!(
-            index.within_any(&[circle(7.2), at_the_other]),
-            [LaneId(1), LaneId(2)],
-            "each circle brings its lanes"
-        );
+        let found = index.within_any(&[circle(7.2), at_the_other]);
+        assert_eq!(found, [LaneId(1), LaneId(2)], "each circle brings its lanes");
         assert!(index.heading_at(point, 7.0).is_none());
         let heading = index.heading_at(point, 160.0).expect("both lanes are near");
         assert!((heading - std::f64::consts::FRAC_PI_4).abs() < 1e-12);
@@ -135,9 +132,7 @@ mod tests {
         let lanes = (1..).zip(lanes).map(|(id, (y, (from, to)))| lane(id, (from, y), (to, y)));
         let index = LaneIndex::new(Arc::new(LaneGraph::new(lanes.collect())));
         let at = |y: f64| index.sole_heading_at(Vec2::new(20.0, y), 2.0);
-        assert_eq!(
-            [at(1.5), at(4.5), at(6.5).map(f64::abs), at(9.0)],
-            [Some(0.0), None, Some(std::f64::consts::PI), None]
-        );
+        let found = [at(1.5), at(4.5), at(6.5).map(f64::abs), at(9.0)];
+        assert_eq!(found, [Some(0.0), None, Some(std::f64::consts::PI), None]);
     }
 }

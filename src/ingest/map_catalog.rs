@@ -52,9 +52,6 @@ struct Listed {
 
 impl MapCatalog {
     /// Reads the maps among `map_inputs`, or otherwise among the inputs themselves.
-    ///
-    /// # Errors
-    /// When none is found, or a place named by the recordings' paths lacks one or has one that cannot be read.
     pub(super) fn read(
         config: &IngestConfig,
         source: &dyn RecordingSource,
@@ -160,16 +157,11 @@ impl MapCatalog {
         Ok(())
     }
 
-    /// The map with this id.
     pub(super) fn get(&self, id: &MapId) -> Option<&LaneIndex> {
         self.maps.get(id).map(|listed| &listed.lanes)
     }
 
     /// Fails if any map is missing, each with a recording that needs it.
-    ///
-    /// # Errors
-    /// [`Error::Map`] for one that cannot be read; otherwise [`Error::MissingMaps`], which names the missing maps and
-    /// those that were found.
     pub(super) fn require(&self, missing: impl Iterator<Item = (MapId, String)>) -> Result<(), Error> {
         let missing: Vec<(MapId, String)> = missing.collect();
         if let Some(broken) = missing.iter().find_map(|(id, _)| self.broken.get(id)) {
@@ -251,10 +243,8 @@ mod tests {
         fs_err::remove_file(folder.path().join("maps/FIX_Elsewhere.osm")).unwrap();
         let Err(Error::MissingMaps { missing, found, .. }) = read() else { panic!("a map is missing") };
         assert_eq!((missing.len(), found.len()), (1, 1));
-        assert_eq!(
-            missing[0],
-            "interaction/FIX_Elsewhere (of recorded_trackfiles/FIX_Elsewhere/vehicle_tracks_000.csv)"
-        );
+        let seen = &missing[0];
+        assert_eq!(seen, "interaction/FIX_Elsewhere (of recorded_trackfiles/FIX_Elsewhere/vehicle_tracks_000.csv)");
         assert!(found[0].contains("FIX_Intersection"), "{found:?}");
         fs_err::remove_dir_all(folder.path().join("maps")).unwrap();
         let none = read().unwrap_err().to_string();

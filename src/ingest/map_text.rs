@@ -5,9 +5,6 @@ use std::borrow::Cow;
 use std::io::{BufRead, Read};
 
 /// The text of the map in `file`, of at most `max_bytes`, without a byte order mark.
-///
-/// # Errors
-/// [`Error::Map`] when it cannot be read, is larger, or is not in its declared encoding.
 pub(super) fn read_text(reader: &mut dyn BufRead, max_bytes: u64, file: &str) -> Result<String, Error> {
     let error = |what: String| Error::map(file, "", what);
     let mut bytes = Vec::new();

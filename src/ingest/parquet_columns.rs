@@ -36,7 +36,6 @@ impl Columns {
         Ok(Self { batch, max_text_bytes: limits.n_bytes })
     }
 
-    /// Number of rows.
     pub(super) fn n_rows(&self) -> usize {
         self.batch.num_rows()
     }

@@ -27,7 +27,6 @@ const BESIDE_ROAD_M: f64 = 10.0;
 /// A scene is rejected if this many of its tracks are doubtful, and more than half of those that can be judged.
 const MIN_REJECTED_TRACKS: u64 = 3;
 
-/// A fault of tracks.
 struct Fault {
     what: &'static str,
     /// What happens to a scene if most of its tracks have it.
@@ -57,8 +56,7 @@ const FAULTS: [Fault; 6] = [
 /// The judgment of a track: not to be judged, sound, or doubtful with the figures.
 type Verdict = Option<Result<(), String>>;
 
-/// Adds the doubtful tracks to the findings of a scene, and wraps the headings of its vehicles, which arrive as
-/// recorded.
+/// Adds the doubtful tracks to the findings of a scene, and wraps the recorded headings of its vehicles.
 ///
 /// # Errors
 /// Rejects a scene if most of its tracks are implausible.
@@ -99,7 +97,6 @@ pub(super) fn recorded_heading(heading_rad: f64, class: AgentClass) -> f64 {
     if class.is_motorized() { heading_rad } else { wrap_angle(heading_rad) }
 }
 
-/// The verdicts on a track, in the order of the faults.
 fn verdicts(track: &Track, dt_s: f64, facts: &DatasetFacts) -> [Verdict; FAULTS.len()] {
     let max_speed_mps = if facts.has_uneven_times { MAX_NOISY_SPEED_MPS } else { MAX_SPEED_MPS };
     let (mut n_steps, mut n_fast, mut n_off, mut n_off_beyond) = (0, 0, 0, 0);

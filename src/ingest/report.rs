@@ -23,8 +23,7 @@ pub struct IngestReport {
     pub scenes_by: BTreeMap<String, u64>,
     /// Rejected units and scenes by reason.
     pub rejects: BTreeMap<String, RejectCount>,
-    /// Counts of units, scenes and agents left out by the configuration, such as agents over the cap and scenes of
-    /// other places.
+    /// Counts of units, scenes and agents left out by the configuration, such as agents over the cap.
     pub dropped: BTreeMap<String, u64>,
     /// Counts of assumptions for data that is not recorded, such as headings of standing vehicles.
     pub assumed: BTreeMap<String, u64>,
@@ -83,7 +82,6 @@ impl IngestReport {
         self.rejects.entry(reject.reason.to_owned()).or_default().add(1, reject.detail.clone());
     }
 
-    /// Counts a finding.
     pub(super) fn count_warning(&mut self, Finding { what, n, detail }: Finding) {
         self.warnings.entry(what.to_owned()).or_default().add(n, detail);
     }
@@ -118,7 +116,6 @@ impl IngestReport {
         add(&mut self.assumed, what, n);
     }
 
-    /// Counts a kept scene.
     pub(super) fn count_scene(&mut self, source: &SceneSource, n_agents: usize) {
         self.n_scenes += 1;
         self.n_agents += n_agents as u64;

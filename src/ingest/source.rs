@@ -53,9 +53,6 @@ pub trait RecordingSource: Sync {
     }
 
     /// Reads a map.
-    ///
-    /// # Errors
-    /// [`Error::Map`] when the map is not whole.
     fn read_map(&self, entry: &Entry, _reader: &mut dyn BufRead) -> Result<MapFile, Error> {
         Err(Error::map(&entry.path, "", "is of a scenario, and is read with it"))
     }
@@ -65,8 +62,7 @@ pub trait RecordingSource: Sync {
         None
     }
 
-    /// The map that the recordings at `path` need, if the path names it, so that a missing map is reported before
-    /// reading.
+    /// The map that the recordings at `path` need, if it names it, so that a missing map is reported before reading.
     fn map_of(&self, _path: &str) -> Option<MapId> {
         None
     }
@@ -109,9 +105,6 @@ pub trait UnitReader {
     }
 
     /// Emits the entries that are held back, after the last entry of the last pass.
-    ///
-    /// # Errors
-    /// See [`UnitReader::read`].
     fn finish(&mut self, _emit: &mut EmitUnit<'_>) -> Result<ControlFlow<()>, Error> {
         Ok(ControlFlow::Continue(()))
     }
@@ -136,9 +129,6 @@ impl Horizon {
     }
 
     /// The configured horizon for recordings of fixed length, whose present is fixed: it may only be shorter.
-    ///
-    /// # Errors
-    /// [`Error::Config`] when it is longer than the recordings.
     pub fn within(config: &IngestConfig, recorded: Self) -> Result<Self, Error> {
         let horizon = Self::of(config, recorded);
         for (key, asked, has) in

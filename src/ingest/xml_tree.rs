@@ -86,12 +86,10 @@ impl Element {
         Ok(Self { name: start.name().as_ref().to_owned(), line, attributes, ..Self::default() })
     }
 
-    /// The elements in it.
     pub(super) fn children(&self) -> impl Iterator<Item = &Self> {
         self.children.iter()
     }
 
-    /// The elements with this name in it.
     pub(super) fn all<'a>(&'a self, name: &'a str) -> impl Iterator<Item = &'a Self> + Clone {
         self.children.iter().filter(move |child| child.name == name)
     }
@@ -101,7 +99,6 @@ impl Element {
         path.iter().try_fold(self, |element, name| element.children.iter().find(|child| child.name == *name))
     }
 
-    /// The value of an attribute.
     pub(super) fn attribute(&self, name: &str) -> Option<&str> {
         self.attributes.iter().find(|(key, _)| key == name).map(|(_, value)| value.as_str())
     }

@@ -11,8 +11,7 @@ const MIN_MOTION_M: f64 = 1.0;
 /// Collision rate: the share of samples in which any two agents collide.
 ///
 /// Two agents collide if their boxes overlap at the same future timestep at which both have a state. Pairs that already
-/// overlap at present, and pairs that both stand, do not count: recordings contain such pairs, which tell nothing about
-/// the sample.
+/// overlap at present, and pairs that both stand, do not count: recordings contain such pairs, too.
 #[derive(Debug, Clone, Copy)]
 pub struct CollisionRate;
 
@@ -95,7 +94,6 @@ fn first_contact(scene: &Scene, first: &SweptBoxes, second: &SweptBoxes) -> Opti
     overlap(present..present + 1).is_none().then_some(timestep)
 }
 
-/// The first state of an agent from the present on.
 fn first_from_present(scene: &Scene, agent_idx: usize) -> Option<&State> {
     (scene.current_timestep()..scene.n_timesteps).find_map(|timestep| scene.state(agent_idx, timestep))
 }

@@ -66,9 +66,6 @@ pub(super) struct KnownTokens {
 
 impl GeometricNetwork {
     /// A network for states of `state_dim` dimensions, with parameters below `scope`.
-    ///
-    /// # Errors
-    /// Fails when the layer string holds other letters than T, A and M, or sizes do not fit.
     pub(super) fn new(
         scope: &mut Scope<'_>,
         config: &NetworkConfig,
@@ -121,9 +118,6 @@ impl GeometricNetwork {
     }
 
     /// Encodes the inputs that do not change between calls.
-    ///
-    /// # Errors
-    /// If the batch was collated without `Sight`, or does not fit the network.
     pub(super) fn encode_known(&self, batch: &SceneBatch) -> Result<KnownTokens> {
         let Some(surroundings) = &batch.surroundings else {
             candle_core::bail!("the batch lacks the geometry that surrounds its agents; collate it with `Sight`");
@@ -153,9 +147,6 @@ impl GeometricNetwork {
 
     /// F_θ for the noisy states of `seen` (B, A, T, 4 D), whose estimate has `poses` (B, A, T, 3), at `c_noise` (B):
     /// (B, A, T, D).
-    ///
-    /// # Errors
-    /// Fails when shapes do not fit.
     pub(super) fn forward(
         &self,
         seen: &Tensor,
@@ -208,9 +199,6 @@ impl GeometricNetwork {
 
 impl KnownTokens {
     /// The tokens with each row taken `n` times in a row.
-    ///
-    /// # Errors
-    /// Fails when the device runs out of memory.
     pub(super) fn repeated(&self, n: usize) -> Result<Self> {
         let n_rows = self.valid.dim(0)?;
         let rows = RepeatedRows::new(n_rows, n, self.valid.device())?;

@@ -1,18 +1,17 @@
 //! The geometric network: gradients reach every parameter, padding and the order of agents do not matter, lanes and
 //! neighbors do, and scenes that lack something work.
 
-use super::tests::noisy;
+use super::tests::{Scenes, noisy, reaches_every_parameter, run};
 use super::*;
-use crate::diffusion::{Denoiser, Edm};
+use crate::diffusion::Edm;
 use crate::geometry::{Polyline, Vec2};
-use crate::nn::testing::{assert_gradients, values, worst};
+use crate::nn::testing::{values, worst};
 use crate::nn::{Compute, Params};
 use crate::scene::testing::{Drive, scene};
 use crate::scene::{AgentClass, Lane, LaneGraph, LaneId, Scene};
 use crate::seed::Seed;
 use crate::tensor::testing::collator;
 use crate::tensor::{Collator, FutureValidity, MaskTask, SceneBatch, SceneTensors, Sight, StateParametrization};
-use candle_core::{Device, Tensor};
 use std::sync::Arc;
 
 fn config() -> NetworkConfig {
@@ -68,67 +67,23 @@ fn denoiser(params: &mut Params) -> SceneDenoiser {
     SceneDenoiser::new(params, &config(), 3, Edm::default(), Seed(1)).unwrap()
 }
 
-fn run(denoiser: &SceneDenoiser, batch: &SceneBatch, x: &Tensor, sigmas: &[f32]) -> Tensor {
-    let sigma = Tensor::new(sigmas, &Device::Cpu).unwrap();
-    denoiser.bind(batch, 1).unwrap().denoise(x, &sigma).unwrap()
-}
-
 #[test]
 fn every_parameter_receives_a_gradient() {
     let whole = GeometryConfig { relation_width: 8, ..GeometryConfig::default() };
     let blind = GeometryConfig { own_pose: false, n_neighbors: 0, n_nearest_lanes: 0, ..whole.clone() };
     let without_lanes = GeometryConfig { n_nearest_lanes: 0, ..whole.clone() };
     for geometry in [whole, blind, without_lanes] {
-        reaches_every_parameter(&NetworkConfig { geometry: Some(geometry), ..config() });
+        let batch = collate(&[&cars(3, &road(true))]);
+        reaches_every_parameter(&NetworkConfig { geometry: Some(geometry), ..config() }, &batch);
     }
 }
 
-fn reaches_every_parameter(config: &NetworkConfig) {
-    let mut params = Params::new(&Compute::cpu());
-    let denoiser = SceneDenoiser::new(&mut params, config, 3, Edm::default(), Seed(1)).unwrap();
-    let batch = collate(&[&cars(3, &road(true))]);
-    let x0_hat = run(&denoiser, &batch, &noisy(&batch, 2), &[0.4]);
-    let loss = (x0_hat - &batch.x0).unwrap().sqr().unwrap().sum_all().unwrap();
-    assert_gradients(&loss, &params, |_| true);
-}
-
 #[test]
-fn a_row_is_the_same_alone_and_among_larger_scenes() {
-    let denoiser = denoiser(&mut Params::new(&Compute::cpu()));
-    let (small, large) = (cars(2, &road(true)), cars(5, &road(true)));
-    let (alone, together) = (collate(&[&small]), collate(&[&small, &large]));
-    let x = noisy(&alone, 3);
-    let both = Tensor::cat(&[&x.pad_with_zeros(1, 0, 3).unwrap(), &noisy(&collate(&[&large]), 4)], 0).unwrap();
-    let expected = run(&denoiser, &alone, &x, &[0.7]);
-    let found = run(&denoiser, &together, &both, &[0.7, 2.0]).get(0).unwrap();
-    assert!(worst(&found.narrow(0, 0, 2).unwrap(), &expected.get(0).unwrap()) < 1e-5);
-    assert!(values(&found.narrow(0, 2, 3).unwrap()).iter().all(|x| *x == 0.0));
-}
-
-#[test]
-fn samples_of_one_scene_share_its_encoding() {
-    let denoiser = denoiser(&mut Params::new(&Compute::cpu()));
-    let batch = collate(&[&cars(3, &road(true)), &cars(2, &road(true))]);
-    let repeated = batch.repeated(2).unwrap();
-    let x = noisy(&repeated, 5);
-    let sigma = Tensor::new(&[0.5f32, 0.5, 0.9, 0.9], &Device::Cpu).unwrap();
-    let shared = denoiser.bind(&batch, 2).unwrap().denoise(&x, &sigma).unwrap();
-    let apart = denoiser.bind(&repeated, 1).unwrap().denoise(&x, &sigma).unwrap();
-    assert!(worst(&shared, &apart) < 1e-5);
-}
-
-#[test]
-fn the_order_of_agents_does_not_matter() {
-    let denoiser = denoiser(&mut Params::new(&Compute::cpu()));
-    let scene = cars(3, &road(true));
-    let mut swapped = scene.clone();
-    swapped.tracks.swap(1, 2);
-    let (a, b) = (collate(&[&scene]), collate(&[&swapped]));
-    let x = noisy(&a, 6);
-    let order = Tensor::new(&[0u32, 2, 1], &Device::Cpu).unwrap();
-    let found = run(&denoiser, &b, &x.index_select(&order, 1).unwrap(), &[0.4]);
-    let expected = run(&denoiser, &a, &x, &[0.4]).index_select(&order, 1).unwrap();
-    assert!(worst(&found, &expected) < 1e-5);
+fn rows_do_not_mix_samples_share_an_encoding_and_agents_have_no_order() {
+    let scenes = Scenes { config: config(), cars: |n| cars(n, &road(true)), collate };
+    scenes.do_not_mix();
+    scenes.are_encoded_once();
+    scenes.have_no_order();
 }
 
 #[test]

@@ -18,9 +18,6 @@ pub(super) struct KnownInput {
 
 impl KnownInput {
     /// Layers for states of `state_dim` dimensions, with parameters `input.known` and `lane_encoder` below `scope`.
-    ///
-    /// # Errors
-    /// Fails when sizes do not fit.
     pub(super) fn new(scope: &mut Scope<'_>, encoding: usize, width: usize, state_dim: usize) -> Result<Self> {
         let n_known = encoding * (state_dim + 1) + FeatureLayout::AGENT;
         let states = Linear::new(&mut scope.enter("input"), "known", n_known, width)?;
@@ -29,9 +26,6 @@ impl KnownInput {
     }
 
     /// Known states `context` (B, A, T, D), agent features (B, A, T, C) and `valid` (B, A, T) to (B, A, T, width).
-    ///
-    /// # Errors
-    /// Fails when shapes do not fit.
     pub(super) fn states(&self, context: &Tensor, features: &Tensor, valid: &Tensor) -> Result<Tensor> {
         let (n_rows, n_agents, n_timesteps, _) = context.dims4()?;
         let states = encode_states(context, self.encoding, STATE_PERIODS)?;
@@ -45,9 +39,6 @@ impl KnownInput {
     }
 
     /// Lane polylines (M, L, F) with `valid` (M, L) to (M, L, width).
-    ///
-    /// # Errors
-    /// Fails when shapes do not fit.
     pub(super) fn lanes(&self, lanes: &Tensor, valid: &Tensor) -> Result<Tensor> {
         self.lane_encoder.forward_valid(lanes, valid)
     }

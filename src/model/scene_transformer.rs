@@ -39,9 +39,6 @@ pub struct SceneTransformerConfig {
 
 impl SceneTransformerConfig {
     /// Refuses a shape that no network can have.
-    ///
-    /// # Errors
-    /// Names the setting.
     pub fn validate(&self) -> settings::Result {
         settings::check_ranges(self)?;
         check_layers("encoder", &self.encoder)?;
@@ -77,9 +74,6 @@ pub struct JointFutures {
 
 impl JointFutures {
     /// The futures of each row, the likeliest first, each with its probability; of equal ones in their order.
-    ///
-    /// # Errors
-    /// Fails when the device does.
     pub fn ranked(&self) -> Result<Vec<Vec<(usize, f64)>>> {
         let rank = |logits: Vec<f32>| {
             let largest = logits.iter().copied().fold(f32::NEG_INFINITY, f32::max);
@@ -118,9 +112,6 @@ pub struct SceneTransformer {
 impl SceneTransformer {
     /// A network for states of `state_dim` dimensions in a parametrization, whose parameters live in `params`; missing
     /// ones are drawn from `seed`.
-    ///
-    /// # Errors
-    /// Fails when the layer strings hold other letters than T, A and M, there is no mode, or sizes do not fit.
     pub fn new(
         params: &mut Params,
         config: &SceneTransformerConfig,
@@ -161,9 +152,6 @@ impl SceneTransformer {
     }
 
     /// The futures of the scenes of a batch. Does not look at `batch.x0`.
-    ///
-    /// # Errors
-    /// Fails when the batch does not fit the network.
     pub fn forward(&self, batch: &SceneBatch) -> Result<JointFutures> {
         let valid = &batch.valid;
         let (n_rows, n_modes) = (batch.n_rows(), self.n_modes());

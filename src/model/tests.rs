@@ -53,64 +53,82 @@ pub(super) fn noisy(batch: &SceneBatch, seed: u64) -> Tensor {
     (&batch.x0 + noise).unwrap().broadcast_mul(&batch.latent.unsqueeze(3).unwrap()).unwrap()
 }
 
-#[test]
-fn every_parameter_receives_a_gradient() {
+pub(super) fn run(denoiser: &SceneDenoiser, batch: &SceneBatch, x: &Tensor, sigmas: &[f32]) -> Tensor {
+    let sigma = Tensor::new(sigmas, &Device::Cpu).unwrap();
+    denoiser.bind(batch, 1).unwrap().denoise(x, &sigma).unwrap()
+}
+
+/// Fails unless the loss on the states of `batch` reaches every parameter of such a network.
+pub(super) fn reaches_every_parameter(config: &NetworkConfig, batch: &SceneBatch) {
     let mut params = Params::new(&Compute::cpu());
-    let denoiser = SceneDenoiser::new(&mut params, &config(), 3, Edm::default(), Seed(1)).unwrap();
-    let batch = collate(&[&cars(3)]);
-    let sigma = Tensor::new(&[0.4f32], &Device::Cpu).unwrap();
-    let x0_hat = denoiser.bind(&batch, 1).unwrap().denoise(&noisy(&batch, 2), &sigma).unwrap();
+    let denoiser = SceneDenoiser::new(&mut params, config, 3, Edm::default(), Seed(1)).unwrap();
+    let x0_hat = run(&denoiser, batch, &noisy(batch, 2), &[0.4]);
     let loss = (x0_hat - &batch.x0).unwrap().sqr().unwrap().sum_all().unwrap();
     assert_gradients(&loss, &params, |_| true);
 }
 
-#[test]
-fn a_row_is_the_same_alone_and_among_larger_scenes() {
-    let mut params = Params::new(&Compute::cpu());
-    let denoiser = SceneDenoiser::new(&mut params, &config(), 3, Edm::default(), Seed(1)).unwrap();
-    let (small, large) = (cars(2), cars(5));
-    let (alone, together) = (collate(&[&small]), collate(&[&small, &large]));
-    let x = noisy(&alone, 3);
-    let padded = x.pad_with_zeros(1, 0, 3).unwrap();
-    let both = Tensor::cat(&[&padded, &noisy(&collate(&[&large]), 4)], 0).unwrap();
-    let run = |batch: &SceneBatch, x: &Tensor, sigmas: &[f32]| {
-        let sigma = Tensor::new(sigmas, &Device::Cpu).unwrap();
-        denoiser.bind(batch, 1).unwrap().denoise(x, &sigma).unwrap()
-    };
-    let expected = run(&alone, &x, &[0.7]);
-    let found = run(&together, &both, &[0.7, 2.0]).get(0).unwrap();
-    assert!(worst(&found.narrow(0, 0, 2).unwrap(), &expected.get(0).unwrap()) < 1e-5);
-    assert!(values(&found.narrow(0, 2, 3).unwrap()).iter().all(|x| *x == 0.0));
+/// What holds for the scenes of any network: those of `cars` with so many agents, in batches of `collate`.
+pub(super) struct Scenes {
+    pub(super) config: NetworkConfig,
+    pub(super) cars: fn(usize) -> Scene,
+    pub(super) collate: fn(&[&Scene]) -> SceneBatch,
+}
+
+impl Scenes {
+    fn denoiser(&self) -> SceneDenoiser {
+        SceneDenoiser::new(&mut Params::new(&Compute::cpu()), &self.config, 3, Edm::default(), Seed(1)).unwrap()
+    }
+
+    /// A row is the same alone and among larger scenes.
+    pub(super) fn do_not_mix(&self) {
+        let (denoiser, small, large) = (self.denoiser(), (self.cars)(2), (self.cars)(5));
+        let (alone, together) = ((self.collate)(&[&small]), (self.collate)(&[&small, &large]));
+        let x = noisy(&alone, 3);
+        let padded = x.pad_with_zeros(1, 0, 3).unwrap();
+        let both = Tensor::cat(&[&padded, &noisy(&(self.collate)(&[&large]), 4)], 0).unwrap();
+        let expected = run(&denoiser, &alone, &x, &[0.7]);
+        let found = run(&denoiser, &together, &both, &[0.7, 2.0]).get(0).unwrap();
+        assert!(worst(&found.narrow(0, 0, 2).unwrap(), &expected.get(0).unwrap()) < 1e-5);
+        assert!(values(&found.narrow(0, 2, 3).unwrap()).iter().all(|x| *x == 0.0));
+    }
+
+    /// Samples of one scene share its encoding.
+    pub(super) fn are_encoded_once(&self) {
+        let denoiser = self.denoiser();
+        let batch = (self.collate)(&[&(self.cars)(3), &(self.cars)(2)]);
+        let repeated = batch.repeated(2).unwrap();
+        let x = noisy(&repeated, 5);
+        let sigma = Tensor::new(&[0.5f32, 0.5, 0.9, 0.9], &Device::Cpu).unwrap();
+        let shared = denoiser.bind(&batch, 2).unwrap().denoise(&x, &sigma).unwrap();
+        let apart = denoiser.bind(&repeated, 1).unwrap().denoise(&x, &sigma).unwrap();
+        assert!(worst(&shared, &apart) < 1e-5);
+    }
+
+    /// The order of agents does not matter.
+    pub(super) fn have_no_order(&self) {
+        let (denoiser, scene) = (self.denoiser(), (self.cars)(3));
+        let mut swapped = scene.clone();
+        swapped.tracks.swap(1, 2);
+        let (a, b) = ((self.collate)(&[&scene]), (self.collate)(&[&swapped]));
+        let x = noisy(&a, 6);
+        let order = Tensor::new(&[0u32, 2, 1], &Device::Cpu).unwrap();
+        let found = run(&denoiser, &b, &x.index_select(&order, 1).unwrap(), &[0.4]);
+        let expected = run(&denoiser, &a, &x, &[0.4]).index_select(&order, 1).unwrap();
+        assert!(worst(&found, &expected) < 1e-5);
+    }
 }
 
 #[test]
-fn samples_of_one_scene_share_its_encoding() {
-    let mut params = Params::new(&Compute::cpu());
-    let denoiser = SceneDenoiser::new(&mut params, &config(), 3, Edm::default(), Seed(1)).unwrap();
-    let batch = collate(&[&cars(3), &cars(2)]);
-    let repeated = batch.repeated(2).unwrap();
-    let x = noisy(&repeated, 5);
-    let sigma = Tensor::new(&[0.5f32, 0.5, 0.9, 0.9], &Device::Cpu).unwrap();
-    let shared = denoiser.bind(&batch, 2).unwrap().denoise(&x, &sigma).unwrap();
-    let apart = denoiser.bind(&repeated, 1).unwrap().denoise(&x, &sigma).unwrap();
-    assert!(worst(&shared, &apart) < 1e-5);
+fn every_parameter_receives_a_gradient() {
+    reaches_every_parameter(&config(), &collate(&[&cars(3)]));
 }
 
 #[test]
-fn the_order_of_agents_does_not_matter() {
-    let mut params = Params::new(&Compute::cpu());
-    let denoiser = SceneDenoiser::new(&mut params, &config(), 3, Edm::default(), Seed(1)).unwrap();
-    let scene = cars(3);
-    let mut swapped = scene.clone();
-    swapped.tracks.swap(1, 2);
-    let (a, b) = (collate(&[&scene]), collate(&[&swapped]));
-    let x = noisy(&a, 6);
-    let order = Tensor::new(&[0u32, 2, 1], &Device::Cpu).unwrap();
-    let sigma = Tensor::new(&[0.4f32], &Device::Cpu).unwrap();
-    let run = |batch: &SceneBatch, x: &Tensor| denoiser.bind(batch, 1).unwrap().denoise(x, &sigma).unwrap();
-    let found = run(&b, &x.index_select(&order, 1).unwrap());
-    let expected = run(&a, &x).index_select(&order, 1).unwrap();
-    assert!(worst(&found, &expected) < 1e-5);
+fn rows_do_not_mix_samples_share_an_encoding_and_agents_have_no_order() {
+    let scenes = Scenes { config: config(), cars, collate };
+    scenes.do_not_mix();
+    scenes.are_encoded_once();
+    scenes.have_no_order();
 }
 
 #[test]

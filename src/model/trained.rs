@@ -19,23 +19,14 @@ pub trait ModelSpec: Serialize + DeserializeOwned {
     fn shape(&self) -> SceneShape<'_>;
 
     /// Refuses sizes of the network that nobody can mean.
-    ///
-    /// # Errors
-    /// The first such size.
     fn check_network(&self) -> settings::Result {
         Ok(())
     }
 
     /// The network with parameters in `params`; new ones are drawn from `seed`.
-    ///
-    /// # Errors
-    /// Fails when the parameters exist with other shapes.
     fn build(&self, params: &mut Params, seed: Seed) -> candle_core::Result<Self::Network>;
 
     /// Writes the checkpoint file and returns its fingerprint.
-    ///
-    /// # Errors
-    /// When the folder cannot be written.
     fn write(&self, params: &Params, path: &Path) -> Result<String, Error> {
         write_checkpoint(path, &params.tensors(), self)
     }
@@ -98,9 +89,6 @@ pub struct TrainedModel<S: ModelSpec> {
 
 impl<S: ModelSpec> TrainedModel<S> {
     /// Reads a checkpoint file.
-    ///
-    /// # Errors
-    /// When the file is not a whole checkpoint of such a network, in this version.
     pub fn read(path: &Path, compute: &Compute) -> Result<Self, Error> {
         let checkpoint = read_checkpoint::<S>(path, &compute.device)?;
         let tensor_error = |source| Error::Tensor { path: path.to_owned(), source };

@@ -12,7 +12,6 @@ pub(super) struct TrunkConfig<'a> {
     pub(super) layers: &'a str,
     /// Features per agent state.
     pub(super) width: usize,
-    /// Attention heads.
     pub(super) n_heads: usize,
     /// Hidden features of the feed-forward part of each layer.
     pub(super) feed_forward: usize,
@@ -80,9 +79,6 @@ impl LaneKeys {
     }
 
     /// The maps of agents, with `n_rows` rows of scenes, for rows taken several times.
-    ///
-    /// # Errors
-    /// Fails when the device runs out of memory.
     pub(super) fn repeated(&self, rows: &RepeatedRows, n_rows: usize) -> Result<Self> {
         let repeat = |tensor: &Tensor| {
             let dims = tensor.dims();
@@ -97,9 +93,6 @@ impl LaneKeys {
 
 impl Trunk {
     /// Layers with parameters `{name}.{i}.…` below `scope`.
-    ///
-    /// # Errors
-    /// Fails when the layer string holds other letters than T, A and M, or sizes do not fit.
     pub(super) fn new(scope: &mut Scope<'_>, name: &str, config: TrunkConfig<'_>) -> Result<Self> {
         let TrunkConfig { layers, width, n_heads, feed_forward } = config;
         let layer = |(i, letter): (usize, char)| {
@@ -123,9 +116,6 @@ impl Trunk {
     }
 
     /// The keys that its map layers need of encoded polylines `lanes` (M, L, width) with `valid` (M, L).
-    ///
-    /// # Errors
-    /// Fails when shapes do not fit.
     pub(super) fn project_keys(&self, lanes: &Tensor, valid: &Tensor) -> Result<LaneKeys> {
         let map_layers = self.layers.iter().filter_map(|layer| match &layer.mixing {
             Mixing::Map(attention) => Some(attention.project_keys(lanes)),

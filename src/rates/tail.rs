@@ -28,7 +28,6 @@ pub(super) const WIDEST: f64 = 100.0;
 /// A bucket of the most severe events.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Level {
-    /// The parameter.
     pub(super) parameter: String,
     /// 1 where larger values are more severe, else -1.
     sign: f64,
@@ -61,16 +60,12 @@ impl Level {
         Some(Self { parameter: parameter.clone(), sign, severity, end })
     }
 
-    /// The severity of a value of the parameter.
     pub(super) fn severity_of(&self, value: f64) -> f64 {
         self.sign * value
     }
 
     /// The tail of recorded severities, each with its cluster: beyond the lowest threshold of those tried at which a
     /// generalized Pareto distribution is not rejected.
-    ///
-    /// # Errors
-    /// Why there is none, in words.
     pub(super) fn tail(&self, severities: &[(usize, f64)]) -> Result<Tail, &'static str> {
         let mut sorted = severities.to_vec();
         sorted.sort_by(|(_, a), (_, b)| b.total_cmp(a));
@@ -101,9 +96,6 @@ impl Level {
 
     /// The rate beyond the level, from that `beyond` the threshold: their product, with the interval of Zou and Donner
     /// (2008) for a product, on logarithms. `n_beyond` events, which cluster, are beyond the threshold.
-    ///
-    /// # Errors
-    /// Why none can be given, in words.
     pub(super) fn rate(
         &self,
         tail: &Tail,

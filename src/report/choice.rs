@@ -194,7 +194,6 @@ impl<'a> Choice<'a> {
     }
 }
 
-/// The request that accepted a scenario, and its bucket.
 fn accepted_into(record: &ScenarioRecord) -> Option<(&str, &BucketTag)> {
     let tag = record.request.as_ref().filter(|tag| tag.outcome == RequestOutcome::Accepted)?;
     Some((&tag.request, tag.bucket.as_ref()?))
@@ -249,7 +248,6 @@ impl Ranked {
 /// Samples of some scenes of a sweep without a behavior, by scene and strength.
 struct Galleries {
     limit: usize,
-    /// All scenes of this sweep.
     scenes: SceneSet,
     /// Scenes that an earlier sweep drew.
     preferred: Vec<SceneId>,

@@ -108,14 +108,10 @@ mod tests {
 
     #[test]
     fn counts_and_shares() {
-        assert_eq!(
-            (count(7), count(1000), count(1_234_567)),
-            ("7".into(), "1\u{202f}000".into(), "1\u{202f}234\u{202f}567".into())
-        );
-        assert_eq!(
-            (uncertainty(0.0358), uncertainty(1.26), uncertainty(0.0)),
-            ("0.036".into(), "1.3".into(), "0".into())
-        );
+        let found = (count(7), count(1000), count(1_234_567));
+        assert_eq!(found, ("7".into(), "1\u{202f}000".into(), "1\u{202f}234\u{202f}567".into()));
+        let seen = (uncertainty(0.0358), uncertainty(1.26), uncertainty(0.0));
+        assert_eq!(seen, ("0.036".into(), "1.3".into(), "0".into()));
         assert_eq!((setting(2.0), setting(0.25), setting(-1.5)), ("2".into(), "0.25".into(), "−1.5".into()));
         assert_eq!((share(1, 8), share(1, 0)), ("12.5\u{202f}%".into(), ABSENT.into()));
     }
@@ -124,9 +120,7 @@ mod tests {
     fn ticks_and_coordinates_are_short() {
         assert_eq!((tick(0.2, 0.1), tick(20.0, 10.0), tick(-0.5, 0.5)), ("0.2".into(), "20".into(), "−0.5".into()));
         assert_eq!((tick(-0.0, 0.5), tick(1e-5, 1e-5)), ("0.0".into(), "1e-5".into()));
-        assert_eq!(
-            (coordinate(-0.001), coordinate(1.239), coordinate(-3.5)),
-            ("0".into(), "1.24".into(), "-3.5".into())
-        );
+        let found = (coordinate(-0.001), coordinate(1.239), coordinate(-3.5));
+        assert_eq!(found, ("0".into(), "1.24".into(), "-3.5".into()));
     }
 }

@@ -19,7 +19,6 @@ impl<'a> Motion<'a> {
         (!states.is_empty()).then_some(Self { states, dt_s })
     }
 
-    /// The state at a time, in timesteps.
     pub(super) fn at(&self, time: f64) -> State {
         let after = self.states.partition_point(|(timestep, _)| (*timestep as f64) < time);
         let carried = |(timestep, state): (usize, &State)| State {

@@ -37,7 +37,6 @@ impl Drive {
     }
 }
 
-/// A vehicle with these states.
 pub(crate) fn vehicle(id: &str, states: impl Iterator<Item = Option<State>>) -> Track {
     Track {
         id: id.into(),

@@ -20,9 +20,6 @@ const SECTION: &str = "section";
 
 /// Refuses settings with a number that is NaN or outside the range in the type's schema. A number with a range is
 /// finite.
-///
-/// # Errors
-/// The first such setting with the range; an error if they cannot be written as TOML.
 pub fn check_ranges<T: Serialize + JsonSchema>(settings: &T) -> Result {
     let schema = schemars::schema_for!(T).to_value();
     // The text can hold values that TOML cannot: whole numbers of 2^63 and more.
@@ -146,10 +143,7 @@ fn entry_of<'v, 'i>(value: &'v DeValue<'i>, name: &str) -> Option<&'v DeValue<'i
 /// Refuses a text that occurs twice in a list without repetitions.
 fn check_unique(schema: &Schema, items: &DeArray<'_>, key: &str) -> Result {
     let texts: Vec<&str> = items.iter().filter_map(|item| text_of(item.get_ref())).collect();
-    match schema["uniqueItems"] == true {
-        true => distinct(key, &texts),
-        false => Ok(()),
-    }
+    if schema["uniqueItems"] == true { distinct(key, &texts) } else { Ok(()) }
 }
 
 fn check_number(schema: &Schema, number: f64, written: &str, key: &str) -> Result {

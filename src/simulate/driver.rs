@@ -11,15 +11,9 @@ pub type Peeker<'a> = dyn Fn(usize) -> Result<Vec<Scene>, Failed> + 'a;
 /// A driver of the ego. One may drive many scenarios, one after the other.
 pub trait Driver: Send {
     /// Begins or continues a drive.
-    ///
-    /// # Errors
-    /// When the driver cannot drive.
     fn begin(&mut self, situation: &Situation, world: &World) -> Result<(), Failed>;
 
     /// The others have planned; the next `n_steps` timesteps will be driven. The driver may `peek`.
-    ///
-    /// # Errors
-    /// When the driver has no answer.
     fn plan(
         &mut self,
         _situation: &Situation,
@@ -31,9 +25,6 @@ pub trait Driver: Send {
     }
 
     /// The state of the ego at the next timestep; `sampled` is the one that the model sampled.
-    ///
-    /// # Errors
-    /// When the driver has no answer.
     fn next(&mut self, situation: &Situation, world: &World, sampled: Option<State>) -> Result<State, Failed>;
 
     /// Whether it is the model, so that others are sampled together with the ego instead of around its expected motion.

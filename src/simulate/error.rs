@@ -5,37 +5,23 @@ use std::path::PathBuf;
 
 /// A failure of a closed loop.
 #[derive(Debug, thiserror::Error)]
+#[expect(missing_docs, reason = "the messages tell what the fields are")]
 pub enum Error {
     /// A setting that cannot work.
     #[error("{0}")]
     Config(String),
     /// A planner that never runs.
     #[error("the planner `{command}` does not run: {why}")]
-    Planner {
-        /// The command.
-        command: String,
-        /// What happens to it.
-        why: String,
-    },
+    Planner { command: String, why: String },
     /// The machine has no more processes, threads or memory.
     #[error("{0}")]
     Machine(String),
     /// A scenario that the model cannot continue.
     #[error("scenario {scenario_id} {why}")]
-    Unfit {
-        /// The scenario.
-        scenario_id: String,
-        /// Why, in words that follow the scenario's name.
-        why: String,
-    },
+    Unfit { scenario_id: String, why: String },
     /// A saved state that cannot be read, or does not fit the corpus.
     #[error("{path}: {why}")]
-    State {
-        /// The file.
-        path: PathBuf,
-        /// The fault, and the remedy.
-        why: String,
-    },
+    State { path: PathBuf, why: String },
     /// Sampling failed.
     #[error(transparent)]
     Generate(#[from] generate::Error),

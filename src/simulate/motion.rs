@@ -100,10 +100,7 @@ pub(crate) fn moved(
     let curvature_1pm = (turned_rad.abs() / moved.norm()).min(most_curvature_1pm(speed_mps));
     let turning_rad = (length_m / 2.0 * curvature_1pm).atan();
     let off = |along_rad: f64| (angle_difference(along_rad, middle_rad).abs() - turning_rad).max(0.0);
-    let slip_rad = match speed_mps < BACKWARD_TO_MPS {
-        true => off(along_rad).min(off(along_rad + PI)),
-        false => off(along_rad),
-    };
+    let slip_rad = if speed_mps < BACKWARD_TO_MPS { off(along_rad).min(off(along_rad + PI)) } else { off(along_rad) };
     if is_moving && slip_rad > MOST_SLIP_RAD {
         let slip = plain(angle_difference(along_rad, heading_rad).abs());
         return refused(format!("is {slip} rad off the motion at {} m/s", plain(speed_mps)));

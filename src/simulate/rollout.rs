@@ -44,9 +44,6 @@ impl RolloutConfig {
     }
 
     /// Rejects settings with which this model cannot drive.
-    ///
-    /// # Errors
-    /// [`Error::Config`].
     pub fn check(&self, futures: &Futures<'_>) -> Result<()> {
         let future_s = (futures.n_timesteps() - futures.n_history()) as f64 * futures.dt_s();
         let refuse = |why: String| Err(Error::Config(why));
@@ -251,7 +248,6 @@ pub(super) fn came_through(situation: &Situation, world: &World) -> End {
     }
 }
 
-/// An ongoing drive.
 pub(super) struct Drive<'a> {
     pub(super) situation: &'a Situation,
     pub(super) world: World,

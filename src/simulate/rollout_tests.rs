@@ -19,10 +19,8 @@ const SHORT: RolloutConfig = RolloutConfig { horizon_s: 2.0, replan_s: 0.5 };
 fn the_same_world_and_actions_give_the_same_bytes_also_from_a_saved_state() {
     let situation = situation(&record());
     let whole = driven(&situation, situation.start(1), &mut Model, &SHORT);
-    assert_eq!(
-        whole.world.to_json().unwrap(),
-        driven(&situation, situation.start(1), &mut Model, &SHORT).world.to_json().unwrap()
-    );
+    let found = whole.world.to_json().unwrap();
+    assert_eq!(found, driven(&situation, situation.start(1), &mut Model, &SHORT).world.to_json().unwrap());
     assert_ne!(whole.world, driven(&situation, situation.start(2), &mut Model, &SHORT).world);
     // From the state at timestep 24, the first replanning after 20, to the same end; and with braking, to another.
     let saved = whole.saved.unwrap();
@@ -63,9 +61,8 @@ fn the_event_goes_as_planned_and_then_everybody_drives_on() {
     let driven = driven(&situation, situation.start(1), &mut Log, &config);
     let (other, world) = (situation.planned[0], &driven.world);
     let at = |timestep: usize| situation.scene.state(other, timestep).copied();
-    assert!(
-        (0..=end).all(|timestep| world.state(other, timestep) == at(timestep)) && driven.event_happens == Some(true)
-    );
+    assert!((0..=end).all(|timestep| world.state(other, timestep) == at(timestep)));
+    assert!(driven.event_happens == Some(true));
     let last = situation.scene.current_timestep() + 40;
     assert!(driven.outcome != Outcome::Survived || world.now() == last, "{:?}", driven.why);
     // No jump where the model takes over.

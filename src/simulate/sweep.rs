@@ -10,7 +10,9 @@ use super::rollout::{Others, roll_out};
 use super::workers::{CHUNK, in_parallel, pool_of_worker};
 use super::{Driven, Error, Outcome, Result, RolloutConfig, Situation};
 use crate::behavior::Behavior;
-use crate::generate::{self, Futures, NamedDriver, RejectedSample, ShardOutput, SweepRollout, requested_events};
+use crate::generate::{
+    self, Futures, NamedDriver, RejectedSample, Rejection, ShardOutput, SweepRollout, requested_events,
+};
 use crate::progress::Progress;
 use crate::scenario::{EgoChoice, ScenarioRecord};
 use crate::scene::{ObservationMask, Scene, Trajectory};
@@ -97,7 +99,7 @@ pub fn roll_out_samples(
             level: provenance.guidance.level,
             sample_idx: provenance.sample_idx,
             seed: provenance.seed,
-            reason,
+            reason: Rejection::Unfit(reason),
         });
     }
     Ok(())

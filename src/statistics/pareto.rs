@@ -83,10 +83,7 @@ impl Pareto {
         // The likelihood of the best distribution with this survival at `y`.
         let profile = |ln_p: f64| {
             let of_shape = |shape: f64| {
-                let scale = match shape.abs() < 1e-9 {
-                    true => -y / ln_p,
-                    false => shape * y / (-shape * ln_p).exp_m1(),
-                };
+                let scale = if shape.abs() < 1e-9 { -y / ln_p } else { shape * y / (-shape * ln_p).exp_m1() };
                 log_likelihood(&self.exceedances, shape, scale)
             };
             peak(SHAPES, of_shape).1

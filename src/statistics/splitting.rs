@@ -12,9 +12,6 @@ pub trait Process: Clone {
     type Error;
 
     /// Goes on for a step. Returns the largest severity in it; `None` if the process is over.
-    ///
-    /// # Errors
-    /// Whatever stops all processes.
     fn step(&mut self) -> Result<Option<f64>, Self::Error>;
 
     /// Makes all that follows independent of what follows for other copies of this state.
@@ -31,9 +28,6 @@ pub struct Levels<'a> {
 }
 
 /// Follows a process and its copies to their ends, and takes each end with its weight. Returns the number of steps.
-///
-/// # Errors
-/// The first error of the process.
 pub fn split<P: Process>(start: P, levels: Levels<'_>, take: &mut impl FnMut(P, f64)) -> Result<u64, P::Error> {
     let mut n_steps = 0;
     let n_copies = levels.n_copies.max(1);

@@ -165,20 +165,14 @@ mod tests {
     fn folders_are_named_as_hive_names_them() {
         let file = |table: CorpusTable, behavior, place| table.file(&table.partition(behavior, place), 0);
         let cut_in = Some("cut_in");
-        assert_eq!(
-            file(CorpusTable::Scenarios, cut_in, "DR_CHN_Merging_ZS0"),
-            "scenarios/behavior=cut_in/place=DR_CHN_Merging_ZS0/part-00000.parquet"
-        );
+        let found = file(CorpusTable::Scenarios, cut_in, "DR_CHN_Merging_ZS0");
+        assert_eq!(found, "scenarios/behavior=cut_in/place=DR_CHN_Merging_ZS0/part-00000.parquet");
         assert_eq!(file(CorpusTable::Tracks, None, "PIT"), "tracks/behavior=none/place=PIT/part-00000.parquet");
         // An é is C3 A9 in UTF-8; a slash must not become a folder.
-        assert_eq!(
-            file(CorpusTable::Recordings, cut_in, "Orléans N/S"),
-            "recordings/place=Orl%C3%A9ans%20N%2FS/part-00000.parquet"
-        );
-        assert_eq!(
-            file(CorpusTable::Recordings, None, ""),
-            "recordings/place=__HIVE_DEFAULT_PARTITION__/part-00000.parquet"
-        );
+        let seen = file(CorpusTable::Recordings, cut_in, "Orléans N/S");
+        assert_eq!(seen, "recordings/place=Orl%C3%A9ans%20N%2FS/part-00000.parquet");
+        let shown = file(CorpusTable::Recordings, None, "");
+        assert_eq!(shown, "recordings/place=__HIVE_DEFAULT_PARTITION__/part-00000.parquet");
         assert_eq!(file(CorpusTable::Lanes, cut_in, "PIT"), "lanes.parquet");
         for table in CorpusTable::ALL {
             assert_eq!(CorpusTable::from_name(table.name()), Some(table));

@@ -34,7 +34,6 @@ pub(crate) struct CorpusChunk {
     pub(crate) path: PathBuf,
     /// Position of the first scenario in its file.
     pub(crate) first_row: usize,
-    /// The rows of the scenarios.
     pub(crate) scenarios: RecordBatch,
     /// The file of the states.
     pub(crate) tracks_path: PathBuf,
@@ -48,9 +47,6 @@ pub(crate) struct CorpusChunk {
 
 impl CorpusScan {
     /// Opens a finished corpus and verifies the checksums of all of its files.
-    ///
-    /// # Errors
-    /// See [`CorpusManifest::read`]; [`Error::Corrupt`] if a file differs from the one that was written.
     pub(crate) fn open(dir: &Path) -> Result<Self> {
         let scan = Self::open_unverified(dir)?;
         let files: Vec<&FileEntry> = scan.manifest.all_files().collect();
@@ -86,7 +82,6 @@ impl CorpusScan {
         Ok(blake3::hash(&fs::read(self.dir.join(MANIFEST_FILE))?).to_hex()[..16].to_owned())
     }
 
-    /// The path of a file.
     pub(crate) fn path(&self, file: &FileEntry) -> PathBuf {
         self.dir.join(&file.path)
     }
@@ -116,10 +111,7 @@ impl CorpusScan {
         let (scenarios, tracks) = self.part(i)?;
         let (path, tracks_path) = (self.path(scenarios), self.path(tracks));
         let batches = self.batches(CorpusTable::Scenarios, scenarios, None)?;
-        let feed = match with_tracks {
-            true => Some(self.batches(CorpusTable::Tracks, tracks, None)?),
-            false => None,
-        };
+        let feed = if with_tracks { Some(self.batches(CorpusTable::Tracks, tracks, None)?) } else { None };
         Ok(Chunks { path, scenarios: Feed::new(batches), tracks_path, tracks: feed.map(Feed::new), is_over: false })
     }
 
@@ -162,7 +154,6 @@ impl CorpusScan {
         Ok(united(&schemas.collect::<Result<Vec<_>>>()?))
     }
 
-    /// The lanes of all maps.
     pub(crate) fn maps(&self) -> Result<MapTable> {
         let mut maps = MapTable::new(&self.dir);
         for file in self.manifest.files(CorpusTable::Lanes) {
@@ -296,12 +287,10 @@ impl Iterator for Chunks {
 }
 
 impl CorpusChunk {
-    /// Number of scenarios.
     pub(crate) fn len(&self) -> usize {
         self.scenarios.num_rows()
     }
 
-    /// The columns of the scenarios.
     pub(crate) fn columns(&self) -> Columns<'_> {
         Columns::of_batch(&self.scenarios, &self.path)
     }

@@ -31,7 +31,6 @@ const MAX_BYTES_IN_MEMORY: usize = 16 << 20;
 pub(crate) struct CorpusSink {
     dir: PathBuf,
     scenes_per_file: usize,
-    /// The unfinished file of each partition.
     parts: BTreeMap<(CorpusTable, Partition), OpenFile>,
     /// The finished files, with their numbers.
     files: BTreeMap<(CorpusTable, Partition, usize), FileEntry>,
@@ -45,7 +44,6 @@ pub(crate) struct CorpusSink {
 struct OpenFile {
     file: ParquetFile,
     path: PathBuf,
-    /// Its number in the partition.
     number: usize,
     /// Scenarios or scenes so far.
     n_units: usize,
@@ -89,7 +87,6 @@ impl CorpusSink {
         self.write(CorpusTable::Recordings, partition, batch)
     }
 
-    /// Adds a map.
     pub(crate) fn write_map(&mut self, id: &MapId, lanes: &LaneGraph) -> Result<()> {
         self.manifest.n_maps += 1;
         self.write(CorpusTable::Lanes, &Partition::default(), &lane::encode(&[(id, lanes)])?)

@@ -9,9 +9,6 @@ use crate::scene::{Roles, Scene};
 use std::path::Path;
 
 /// Writes the table of drives.
-///
-/// # Errors
-/// On I/O errors, or if a parameter has the name of another column.
 pub fn write_drives(path: &Path, rows: &[DriveRow]) -> Result<FileStamp> {
     write_batch(path, &drive::schema(), &drive::encode(rows)?)
 }
@@ -79,9 +76,7 @@ mod tests {
         let roles = batch["event_role"].as_string::<i32>();
         assert_eq!([0, 23].map(|row| roles.iter().nth(row).flatten()), [Some("ego"), None]);
         let moved = batch["moved_by"].as_string::<i32>();
-        assert_eq!(
-            (batch.num_rows(), moved.value(0), moved.value(5), moved.value(23)),
-            (24, "scenario", "driver", "model")
-        );
+        let found = (batch.num_rows(), moved.value(0), moved.value(5), moved.value(23));
+        assert_eq!(found, (24, "scenario", "driver", "model"));
     }
 }

@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 
 /// A failure to read or write one of our files.
 #[derive(Debug, thiserror::Error)]
+#[expect(missing_docs, reason = "the messages tell what the fields are")]
 pub enum Error {
     /// The file system refused; the message names the path.
     #[error(transparent)]
@@ -19,126 +20,56 @@ pub enum Error {
         "{} has no manifest.json, so the command that writes it did not finish; run that command again",
         .dir.display()
     )]
-    Unfinished {
-        /// The folder.
-        dir: PathBuf,
-    },
+    Unfinished { dir: PathBuf },
     /// A folder that is not a corpus.
     #[error("{} is not a corpus: it has no corpus manifest.json; {}", .dir.display(), what_to_name(.inside.as_deref()))]
-    NoCorpus {
-        /// The folder.
-        dir: PathBuf,
-        /// A corpus inside it, as in run folders.
-        inside: Option<PathBuf>,
-    },
+    NoCorpus { dir: PathBuf, inside: Option<PathBuf> },
     /// A file with another schema, or another version of it.
     #[error(
         "{} has schema `{found}`, expected `{expected}`; write it again with this version of djinn",
         .path.display()
     )]
-    SchemaVersion {
-        /// The file.
-        path: PathBuf,
-        /// The schema that this version reads, such as `scene.v1`.
-        expected: String,
-        /// The schema that the file names; empty if it names none.
-        found: String,
-    },
+    SchemaVersion { path: PathBuf, expected: String, found: String },
     /// A file whose content is not as it was written.
     #[error(
         "{} is damaged: {detail}; restore it from a copy, or move its folder away and run the command that writes it \
          again",
         .path.display()
     )]
-    Corrupt {
-        /// The file.
-        path: PathBuf,
-        /// Description of the fault.
-        detail: String,
-    },
+    Corrupt { path: PathBuf, detail: String },
     /// A record of a run whose content is not as it was written. The remedy depends on the record.
     #[error("{} is damaged: {detail}", .path.display())]
-    Record {
-        /// The file.
-        path: PathBuf,
-        /// Description of the fault.
-        detail: String,
-    },
+    Record { path: PathBuf, detail: String },
     /// A value that cannot be stored faithfully.
     #[error("cannot store {id}: {detail}")]
-    Invalid {
-        /// The scene, scenario, event or table.
-        id: String,
-        /// Why not.
-        detail: String,
-    },
+    Invalid { id: String, detail: String },
     /// A file from elsewhere that does not hold what it should.
     #[error("cannot read {}: {detail}", .path.display())]
-    Unfit {
-        /// The file.
-        path: PathBuf,
-        /// What is wrong, and what was expected.
-        detail: String,
-    },
+    Unfit { path: PathBuf, detail: String },
     /// Two scenes of one name.
     #[error(
         "two scenes that differ are called {id}, {}; give only the recording that is right, or each a name of its own",
         from_both(.files)
     )]
-    DuplicateScene {
-        /// The scene.
-        id: String,
-        /// The recordings within their folders or archives, the earlier one first.
-        files: [String; 2],
-    },
+    DuplicateScene { id: String, files: [String; 2] },
     /// A map that is in no table.
     #[error("map {map_id} is not among the maps of {}", .path.display())]
-    UnknownMap {
-        /// The map.
-        map_id: String,
-        /// The place that was searched.
-        path: PathBuf,
-    },
+    UnknownMap { map_id: String, path: PathBuf },
     /// A position or name that is not in a table.
     #[error("{} holds no {what}", .path.display())]
-    NotFound {
-        /// The file or folder.
-        path: PathBuf,
-        /// The item requested, such as `scene 12 of 10`.
-        what: String,
-    },
+    NotFound { path: PathBuf, what: String },
     /// JSON that does not have the expected form.
     #[error("cannot read or write {}: {source}", .path.display())]
-    Json {
-        /// The file.
-        path: PathBuf,
-        /// The cause.
-        source: serde_json::Error,
-    },
+    Json { path: PathBuf, source: serde_json::Error },
     /// Arrow cannot encode or decode a table.
     #[error("cannot encode or decode {}: {source}", .path.display())]
-    Arrow {
-        /// The file.
-        path: PathBuf,
-        /// The cause.
-        source: arrow::error::ArrowError,
-    },
+    Arrow { path: PathBuf, source: arrow::error::ArrowError },
     /// Parquet cannot encode or decode a table.
     #[error("cannot encode or decode {}: {source}", .path.display())]
-    Parquet {
-        /// The file.
-        path: PathBuf,
-        /// The cause.
-        source: parquet::errors::ParquetError,
-    },
+    Parquet { path: PathBuf, source: parquet::errors::ParquetError },
     /// A group-by failed.
     #[error("cannot summarize {table}: {source}")]
-    Frame {
-        /// The table summarized.
-        table: &'static str,
-        /// The cause.
-        source: polars::prelude::PolarsError,
-    },
+    Frame { table: &'static str, source: polars::prelude::PolarsError },
 }
 
 impl From<files::Error> for Error {

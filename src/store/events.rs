@@ -36,9 +36,6 @@ impl<'n> EventWriter<'n> {
     }
 
     /// Adds events that are numbers so and so among those of their scene and behavior.
-    ///
-    /// # Errors
-    /// See [`write`](Self::write).
     pub fn write_numbered(&mut self, events: &[BehaviorEvent], numbers: &[usize]) -> Result<()> {
         let batch = event::encode(events, numbers, &self.names)?;
         let file = match &mut self.file {
@@ -61,18 +58,11 @@ impl<'n> EventWriter<'n> {
 }
 
 /// Reads the events that `keep` accepts, in the order in which they were written. The others take no memory.
-///
-/// # Errors
-/// See [`stream_events`].
 pub fn read_events(path: &Path, keep: impl Fn(&BehaviorEvent) -> bool) -> Result<Vec<BehaviorEvent>> {
     stream_events(path)?.filter(|event| event.as_ref().map_or(true, &keep)).collect()
 }
 
 /// Reads a table of events one by one, in the order they were written; few are in memory at a time.
-///
-/// # Errors
-/// [`Error::Corrupt`](super::Error::Corrupt) and [`Error::SchemaVersion`](super::Error::SchemaVersion) when the file is
-/// not such a table or an event is damaged; errors of the file system.
 pub fn stream_events(path: &Path) -> Result<impl Iterator<Item = Result<BehaviorEvent>> + use<>> {
     row_file::stream(path, &event::schema(), event::decode)
 }

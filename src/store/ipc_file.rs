@@ -60,11 +60,6 @@ pub(crate) struct MappedTable {
 }
 
 impl MappedTable {
-    /// Maps a file of this table.
-    ///
-    /// # Errors
-    /// [`Error::Corrupt`] when the content does not match `stamp` or is not a table, [`Error::SchemaVersion`] when it
-    /// is another table.
     pub(crate) fn open(path: &Path, table: &TableSchema, stamp: &FileStamp) -> Result<Self> {
         let buffer = map_file(path)?;
         // The checksum comes first: if it matches, the content is as it was written.
@@ -90,7 +85,6 @@ impl MappedTable {
         Ok(Self { path: path.to_owned(), version: footer.version(), buffer, schema, blocks })
     }
 
-    /// The file.
     pub(crate) fn path(&self) -> &Path {
         &self.path
     }
@@ -102,16 +96,12 @@ impl MappedTable {
         }
     }
 
-    /// Number of batches.
     pub(crate) const fn n_batches(&self) -> usize {
         self.blocks.len()
     }
 
     /// Decodes the batch at `position`, which must be below [`n_batches`](Self::n_batches), without copying its
     /// content.
-    ///
-    /// # Errors
-    /// [`Error::Corrupt`] when it is not a batch of the table.
     pub(crate) fn batch(&self, position: usize) -> Result<RecordBatch> {
         let damaged = |detail: &str| Error::corrupt(&self.path, detail);
         let block = &self.blocks[position];

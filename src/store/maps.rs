@@ -13,15 +13,9 @@ use std::sync::{Arc, Mutex, PoisonError};
 /// A source of maps: a scene store or a corpus. Lanes are in the recording's frame.
 pub trait MapSource: Sync {
     /// The whole map.
-    ///
-    /// # Errors
-    /// [`Error::UnknownMap`] when there is no such map.
     fn map(&self, id: &MapId) -> Result<LaneGraph>;
 
     /// These lanes of the map, with the connections among them.
-    ///
-    /// # Errors
-    /// [`Error::UnknownMap`] when there is no such map, [`Error::NotFound`] when it lacks one of the lanes.
     fn lanes(&self, id: &MapId, lane_ids: &[LaneId]) -> Result<LaneGraph>;
 }
 

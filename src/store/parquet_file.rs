@@ -87,14 +87,12 @@ fn properties(table: &TableSchema, schema: &Schema) -> parquet::errors::Result<W
     Ok(properties.build())
 }
 
-/// Writes a table that consists of one batch.
 pub(crate) fn write_batch(path: &Path, table: &TableSchema, batch: &RecordBatch) -> Result<FileStamp> {
     let mut file = ParquetFile::create(path, table, batch.schema())?;
     file.write(batch)?;
     file.finish()
 }
 
-/// Reads all rows of a table.
 pub(crate) fn read(path: &Path, table: &TableSchema) -> Result<Vec<RecordBatch>> {
     stream(path, table, None)?.collect()
 }

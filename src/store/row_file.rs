@@ -97,18 +97,11 @@ pub fn write_table<T: TableRow>(path: &Path, rows: impl IntoIterator<Item = Resu
 }
 
 /// Reads a whole table, in the order in which it was written.
-///
-/// # Errors
-/// See [`stream_table`].
 pub fn read_table<T: TableRow>(path: &Path) -> Result<Vec<T>> {
     stream_table(path)?.collect()
 }
 
 /// Reads a table row by row, in the order in which it was written; the rows end after the first error.
-///
-/// # Errors
-/// [`Error::Corrupt`](super::Error::Corrupt) and [`Error::SchemaVersion`](super::Error::SchemaVersion) when the file is
-/// not such a table or a row is damaged; errors of the file system.
 pub fn stream_table<T: TableRow>(path: &Path) -> Result<impl Iterator<Item = Result<T>> + use<T>> {
     stream(path, &T::table(), T::decode)
 }
@@ -133,9 +126,6 @@ fn in_turn<T>(rows: Result<Vec<T>>) -> impl Iterator<Item = Result<T>> {
 }
 
 /// Reads what was counted: exposure, and a table of events in which each is once.
-///
-/// # Errors
-/// See [`stream_table`].
 pub fn read_recorded_traffic(exposure: &Path, occurrences: &Path) -> Result<RecordedTraffic> {
     let mut traffic = RecordedTraffic::new(read_table(exposure)?);
     for event in stream_events(occurrences)? {

@@ -28,14 +28,12 @@ pub struct SceneStore {
     batches: Vec<BatchPlace>,
     /// The last batches that were read, by position.
     decoded: Mutex<BTreeMap<usize, RecordBatch>>,
-    /// The maps of each folder.
     maps: Vec<MapTable>,
     index: SceneIndex,
     /// Positions in `index`, by scene id.
     by_id: Vec<u32>,
 }
 
-/// The place of a batch of scenes.
 struct BatchPlace {
     /// Position of its folder, and of its shard.
     folder: usize,
@@ -48,18 +46,11 @@ struct BatchPlace {
 
 impl SceneStore {
     /// Opens a finished store and verifies the checksums of all of its files.
-    ///
-    /// # Errors
-    /// [`Error::Unfinished`] without a manifest, [`Error::SchemaVersion`] when another version wrote it,
-    /// [`Error::Corrupt`] when a file is not as it was written.
     pub fn open(dir: &Path) -> Result<Self> {
         Self::open_all(&[dir])
     }
 
     /// Opens several folders as one store, with the scenes of the first one first. Their ids must differ.
-    ///
-    /// # Errors
-    /// See [`SceneStore::open`].
     pub fn open_all(dirs: &[&Path]) -> Result<Self> {
         let mut store = Self {
             fingerprint: String::new(),
@@ -133,9 +124,6 @@ impl SceneStore {
     }
 
     /// Loads scene `i` with its lanes.
-    ///
-    /// # Errors
-    /// [`Error::NotFound`] when there are fewer; errors of its map.
     pub fn scene(&self, i: usize) -> Result<Scene> {
         let after = self.batches.partition_point(|batch| batch.first <= i);
         let Some(at) = after.checked_sub(1).filter(|_| i < self.len()) else {

@@ -96,10 +96,6 @@ impl TableSchema {
     }
 
     /// Checks that `found`, read from `path`, is this schema in this version.
-    ///
-    /// # Errors
-    /// [`Error::SchemaVersion`] when the file names another schema or none, [`Error::Corrupt`] when it names this
-    /// schema but has other columns.
     pub(crate) fn check(&self, path: &Path, found: &Schema) -> Result<()> {
         let found_id = found.metadata().get(SCHEMA_KEY).map_or("", |id| id.as_str());
         if found_id != self.id() {

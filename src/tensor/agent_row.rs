@@ -11,7 +11,6 @@ use super::{AgentFrame, FeatureLayout, FutureValidity, SceneView, StateParametri
 use crate::geometry::{Vec2, angle_difference, unwrap_angles};
 use crate::scene::{Scene, Track};
 
-/// One agent of a view.
 pub(super) struct AgentRow<'a> {
     collator: &'a Collator,
     frame: &'a AgentFrame,
@@ -28,7 +27,6 @@ pub(super) struct AgentRow<'a> {
     is_residual: bool,
     /// The heading of the agent's frame in the ego frame.
     frame_heading_rad: f64,
-    /// Meters and radians per unit of x.
     unit: [f64; 3],
     /// Whether its heading follows from its motion instead of being generated.
     derives_heading: bool,

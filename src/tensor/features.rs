@@ -96,10 +96,8 @@ mod tests {
             assert!(pieces.iter().all(|piece| piece.len() >= 2 && piece.len() <= LANE_POINTS));
             assert!(pieces.windows(2).all(|pair| pair[0].last() == pair[1].first()));
             assert_eq!(pieces.iter().map(|piece| piece.len() - 1).sum::<usize>() + 1, line.0.len());
-            assert_eq!(
-                (pieces[0][0], pieces.last().and_then(|p| p.last()).copied()),
-                (line.0[0], line.0.last().copied())
-            );
+            let found = (pieces[0][0], pieces.last().and_then(|p| p.last()).copied());
+            assert_eq!(found, (line.0[0], line.0.last().copied()));
         }
         assert!(split(&Polyline(vec![Vec2::ZERO])).is_empty());
     }

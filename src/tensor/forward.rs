@@ -38,9 +38,6 @@ pub struct LeastProgress {
 impl LeastProgress {
     /// The bounds of a batch, each row `n_samples` times; `sources[b]` is the scene from which row b was made. `None`
     /// in other parametrizations.
-    ///
-    /// # Errors
-    /// When the device fails.
     pub fn new(batch: &SceneBatch, sources: &[&Scene], n_samples: usize) -> Result<Option<Self>> {
         if batch.path.is_none() {
             return Ok(None);
@@ -78,9 +75,6 @@ impl LeastProgress {
     }
 
     /// The clean estimate `x0` (B, A, T, D) of samples of `batch`, without motion backward.
-    ///
-    /// # Errors
-    /// When `x0` has another shape than the batch.
     pub fn kept(&self, x0: &Tensor, batch: &SceneBatch) -> Result<Tensor> {
         let n_other = x0.dim(3)? - 1;
         let along = x0.narrow(3, 0, 1)?;

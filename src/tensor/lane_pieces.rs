@@ -121,7 +121,6 @@ fn cut(lane: &Lane, idx: u32, outlines: &Outlines) -> Vec<LanePiece> {
         .collect()
 }
 
-/// The outlines of all lanes.
 struct Outlines {
     outlines: Vec<Outline>,
 }

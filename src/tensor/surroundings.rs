@@ -235,10 +235,8 @@ mod tests {
         let reached: Vec<_> = all.iter().take_while(|(_, _, reach)| reach.is_some()).copied().collect();
         // Six of nine places are for reachable ones; a change of lanes counts 10 m. The oncoming lane is near, and
         // cannot be reached.
-        assert_eq!(
-            reached[..4],
-            [(0, 0.0, Some(-8.0)), (2, 0.0, Some(2.0)), (0, 18.0, Some(10.0)), (2, 18.0, Some(20.0))]
-        );
+        let found = &reached[..4];
+        assert_eq!(found, [(0, 0.0, Some(-8.0)), (2, 0.0, Some(2.0)), (0, 18.0, Some(10.0)), (2, 18.0, Some(20.0))]);
         assert_eq!(reached[4..], [(1, 36.0, Some(28.0)), (1, 54.0, Some(46.0))]);
         assert_eq!(all[6..], [(3, 36.0, None), (3, 18.0, None)]);
         // 10 m/s for a second and a half, and then some, end before 46 m: there, but out of reach.

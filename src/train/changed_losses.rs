@@ -89,7 +89,6 @@ pub fn map_warnings(losses: &[ChangedLoss]) -> Vec<String> {
     SIGMAS.into_iter().filter_map(warning).collect()
 }
 
-/// The scene after a change.
 fn changed(scene: Scene, change: SceneChange) -> Scene {
     let ego = scene.state(scene.ego_idx, scene.current_timestep());
     let scene_from_ego = ego.map_or(Transform2::IDENTITY, |ego| Transform2::from_pose(ego.position, ego.heading_rad));

@@ -121,10 +121,8 @@ fn a_killed_training_resumes_to_the_same_weights() {
         assert!(std::panic::catch_unwind(std::panic::AssertUnwindSafe(run)).is_err());
     }
     let resumed = train(&denoiser, 30, killed.path(), &Silent).unwrap();
-    assert_eq!(
-        (resumed.fingerprint, resumed.by_noise_level, resumed.statistics.len()),
-        (undisturbed.fingerprint, undisturbed.by_noise_level, undisturbed.statistics.len())
-    );
+    let found = (resumed.fingerprint, resumed.by_noise_level, resumed.statistics.len());
+    assert_eq!(found, (undisturbed.fingerprint, undisturbed.by_noise_level, undisturbed.statistics.len()));
     let read = |dir: &Path| fs_err::read(dir.join("model.safetensors")).unwrap();
     assert_eq!(read(killed.path()), read(whole.path()));
 }
@@ -183,10 +181,8 @@ fn one_positive_event_makes_a_pair_positive() {
     let mined: Vec<MinedEvent<'_>> =
         events.iter().zip([1, 1, 2]).map(|(event, scene_idx)| MinedEvent { scene_idx, event }).collect();
     let pairs = LabeledPair::of_events(&mined, 10, Seed(0));
-    assert_eq!(
-        pairs.iter().map(|pair| (pair.scene_idx, pair.is_positive)).collect::<Vec<_>>(),
-        [(1, true), (2, false)]
-    );
+    let found = pairs.iter().map(|pair| (pair.scene_idx, pair.is_positive)).collect::<Vec<_>>();
+    assert_eq!(found, [(1, true), (2, false)]);
 }
 
 #[test]

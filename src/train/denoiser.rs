@@ -14,13 +14,10 @@ use crate::nn::{Checkpoint, Params};
 pub(super) struct TrainedFrom<'a> {
     /// Settings.
     pub(super) training: &'a DenoiserTraining,
-    /// The scenes.
     pub(super) data: &'a TrainingData<'a>,
-    /// The checkpoint to start from.
     pub(super) start: Option<&'a Checkpoint<DenoiserSpec>>,
     /// The description with the constants of the scenes.
     found: &'a DenoiserSpec,
-    /// Its environment.
     pub(super) job: TrainJob<'a>,
 }
 
@@ -61,9 +58,6 @@ impl TrainedFrom<'_> {
 /// weights of that checkpoint, keeps its scales but for those of motion (`Normalizer::for_motion_of`) unless `scales`
 /// says otherwise, and ends with the weights whose samples of held-out scenes had the least error. A training that is
 /// given time chooses its steps, learning rate and scales, and ends with `start` as it is if that is no worse.
-///
-/// # Errors
-/// When there is no scene to train on, scenes differ in their timesteps, `start` is of another kind, or training fails.
 pub fn train_denoiser(
     training: &DenoiserTraining,
     data: &TrainingData<'_>,

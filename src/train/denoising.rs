@@ -7,7 +7,7 @@ use super::scene_error::scene_error_m;
 use super::{DenoiserTraining, DrawnBatch, Error, SceneDraws, TrainTask};
 use crate::diffusion::{Denoiser, NoiseSource, rows_like};
 use crate::model::{SceneChange, SceneDenoiser};
-use crate::seed::{Seed, SeededRng};
+use crate::seed::Seed;
 use crate::tensor::{Collator, SceneBatch};
 use candle_core::Tensor;
 use std::collections::BTreeMap;
@@ -60,11 +60,6 @@ impl DenoisingTask<'_> {
         Ok(error_m.transpose()?.flatten())
     }
 
-    /// The noise levels of the rows, drawn from their generators.
-    fn draw_sigmas(&self, rngs: &[SeededRng]) -> Vec<f64> {
-        rngs.iter().map(|rng| self.training.noise.draw(&mut rng.clone())).collect()
-    }
-
     /// 1 for each row at a noise level at which objectives count.
     fn counts(&self, sigmas: &[f64]) -> Vec<f32> {
         sigmas.iter().map(|sigma| f32::from(u8::from(*sigma <= self.training.objectives_below_sigma))).collect()
@@ -80,7 +75,7 @@ impl DenoisingTask<'_> {
 impl TrainTask for DenoisingTask<'_> {
     fn loss(&self, step: u64) -> Result<Tensor, Error> {
         let drawn = self.draws.training_batch(step)?;
-        let sigmas = self.draw_sigmas(&drawn.rngs);
+        let sigmas: Vec<f64> = drawn.rngs.iter().map(|rng| self.training.noise.draw(&mut rng.clone())).collect();
         let x0_hat = Self::estimate(self.denoiser, &drawn.batch, &sigmas, &drawn.seeds)?;
         let error = self.weighted_error(&drawn.batch, &x0_hat, &sigmas)?;
         let counts = self.counts(&sigmas);

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 /// A failure of training.
 #[derive(Debug, thiserror::Error)]
+#[expect(missing_docs, reason = "the messages tell what the fields are")]
 pub enum Error {
     /// A tensor operation failed.
     #[error("a tensor operation failed")]
@@ -19,10 +20,7 @@ pub enum Error {
         "{path} has changed since it was saved, or the disk is failing; restore it from a copy, or remove it to train \
          from the start"
     )]
-    DamagedState {
-        /// The file.
-        path: PathBuf,
-    },
+    DamagedState { path: PathBuf },
     /// A scene could not be loaded.
     #[error("cannot load a training scene")]
     Scene(#[source] Box<dyn std::error::Error + Send + Sync>),
@@ -34,29 +32,14 @@ pub enum Error {
         "{behavior}: found {n_positive} positive and {n_negative} negative pairs; training needs both: mine more \
          scenes or other places, or relax the behavior's definition"
     )]
-    NoExamples {
-        /// The behavior.
-        behavior: String,
-        /// Positive pairs.
-        n_positive: usize,
-        /// Negative pairs.
-        n_negative: usize,
-    },
+    NoExamples { behavior: String, n_positive: usize, n_negative: usize },
     /// An invalid setting.
     #[error("{0}")]
     Config(String),
     /// The training was interrupted, and its state is saved.
     #[error("stopped after step {step}, with everything saved")]
-    Stopped {
-        /// Steps taken.
-        step: u64,
-    },
+    Stopped { step: u64 },
     /// The loss is no longer a number.
     #[error("the loss is {loss} at step {step}: lower the learning rate or look for non-finite inputs")]
-    Diverged {
-        /// The step.
-        step: u64,
-        /// The loss.
-        loss: f64,
-    },
+    Diverged { step: u64, loss: f64 },
 }

@@ -122,9 +122,6 @@ pub fn fit(
 
 /// Takes the steps of `config` in a folder without a state, and saves nothing. At the end `params` are the averaged
 /// weights, as after [`fit`].
-///
-/// # Errors
-/// Those of [`fit`].
 pub(super) fn take_steps(
     config: &FitConfig,
     params: &mut Params,
@@ -143,7 +140,6 @@ pub(super) fn take_steps(
 }
 
 impl Run {
-    /// Takes a step.
     fn step(&mut self, config: &FitConfig, params: &Params, task: &dyn TrainTask) -> Result<(), Error> {
         let step = self.position.step;
         in_pool(params.device(), || {
@@ -371,10 +367,8 @@ mod tests {
         let evaluated: Vec<f64> =
             outcome.statistics.iter().filter_map(|line| line.evaluation.get("x").copied()).collect();
         let expected = [0.0, -0.040_909, -0.111_744, -0.162_706, -0.186_681];
-        assert!(
-            evaluated.len() == 5 && evaluated.iter().zip(expected).all(|(x, expected)| (x - expected).abs() < 2e-6),
-            "{evaluated:?}"
-        );
+        assert!(evaluated.len() == 5, "{evaluated:?}");
+        assert!(evaluated.iter().zip(expected).all(|(x, expected)| (x - expected).abs() < 2e-6), "{evaluated:?}");
         let last = read_checkpoint::<Position>(&Run::state_path(dir.path()), &Device::Cpu).unwrap();
         let last = last.tensors["params.x"].to_vec1::<f32>().unwrap()[0];
         assert!((last + 0.2).abs() < 2e-6, "{last}");

@@ -80,7 +80,6 @@ impl Preset {
         }
     }
 
-    /// The schedule and the scenes of its trainings.
     fn common(self) -> SceneTraining {
         let Schedule { steps, batch, rate, warmup, ema, every, n_eval } = self.schedule();
         let fit = FitConfig {

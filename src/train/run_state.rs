@@ -14,9 +14,7 @@ use std::path::{Path, PathBuf};
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Position {
-    /// Steps taken.
     pub(super) step: u64,
-    /// Updates of the averages.
     pub(super) ema_updates: u64,
     /// Sum of the losses since the last line of statistics.
     pub(super) loss_sum: f64,
@@ -115,7 +113,6 @@ impl Run {
         Ok(())
     }
 
-    /// Saves the state.
     pub(super) fn save(&self, params: &Params) -> Result<(), Error> {
         let mut tensors = BTreeMap::new();
         let mut put = |prefix: &str, part: BTreeMap<String, Tensor>| {

@@ -65,7 +65,6 @@ type SceneChange<'a> = &'a dyn Fn(usize, Scene) -> Scene;
 pub struct Prefetched {
     /// The last epoch of each group and its shuffle.
     shuffles: Mutex<BTreeMap<usize, Shuffle>>,
-    /// The batch of a step.
     batch: Mutex<Option<(u64, DrawnBatch)>>,
 }
 

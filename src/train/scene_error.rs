@@ -19,9 +19,6 @@ const TOGETHER: usize = 8;
 
 /// The mean of minSceneADE over the held-out scenes as recorded, meters, by unguided samples from the observed past;
 /// `None` if it is not defined for any. `collator` is that of sampling. The noise of a scene is the same at every call.
-///
-/// # Errors
-/// When a scene cannot be loaded or the device fails.
 pub(super) fn scene_error_m(
     network: &SceneDenoiser,
     collator: &Collator,

@@ -14,7 +14,6 @@ static CPU: Compute = Compute::cpu();
 /// This many scenes, made by a function of their index.
 pub(super) struct MadeScenes<F>(pub(super) usize, pub(super) F);
 
-/// Scenes of a known number.
 pub(super) trait Counted: SceneDataset {
     fn len(&self) -> usize;
 }

@@ -98,7 +98,6 @@ fn schedule(base: &FitConfig, steps: u64, learning_rate: f64) -> FitConfig {
     FitConfig { steps, learning_rate, warmup_steps: base.warmup_steps.min(steps / 10), ..base.clone() }
 }
 
-/// The choice of settings.
 pub(super) struct Choice<'a> {
     within: &'a Within,
     from: TrainedFrom<'a>,
@@ -112,9 +111,6 @@ pub(super) struct Choice<'a> {
 
 impl<'a> Choice<'a> {
     /// Chooses the settings of a training, or reads those that it chose before it was interrupted.
-    ///
-    /// # Errors
-    /// When a step or an evaluation fails, the process must stop, or the file cannot be written or read.
     pub(super) fn made(within: &'a Within, from: TrainedFrom<'a>) -> Result<Chosen, Error> {
         let path = from.job.dir.join(CHOSEN_FILE);
         if path.exists() {

@@ -128,9 +128,6 @@ impl TrainingData<'_> {
 
 impl SceneConstants {
     /// Gathers the constants of the training set. If the network derives headings, derived headings do not count.
-    ///
-    /// # Errors
-    /// When there is no scene to train on, scenes differ in their timesteps, or one cannot be loaded.
     pub(super) fn gather(
         data: &TrainingData<'_>,
         parametrization: StateParametrization,

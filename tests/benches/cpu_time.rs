@@ -5,7 +5,6 @@ use std::time::Instant;
 /// Time of one call, seconds.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Elapsed {
-    /// On the clock.
     pub(crate) wall_s: f64,
     /// CPU time of all threads of the process together; says more than the clock on a machine that others use, too. Not
     /// a number where the system does not report it.

@@ -228,10 +228,8 @@ fn planned_states_of_the_scenario_are_scored_as_the_scenario_in_any_frame() {
         planned(&file, &corpus, 0, wrong);
         fs_err::remove_dir_all(&out).ok();
         let refused = score(&[]).expect(1);
-        assert!(
-            refused.stderr.contains("none of the 4 plans can be driven") && refused.stderr.contains(why),
-            "{refused:?}"
-        );
+        assert!(refused.stderr.contains("none of the 4 plans can be driven"), "{refused:?}");
+        assert!(refused.stderr.contains(why), "{refused:?}");
     }
     // One bad plan among good ones fails alone.
     let mut n_told = 0;

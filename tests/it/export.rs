@@ -46,19 +46,13 @@ fn a_corpus_becomes_every_format_and_what_cannot_be_is_refused() {
         let verified: Vec<_> = index.iter().filter(|row| row["verified"] == "true").collect();
         assert!(verified.iter().all(|row| role_of_ego(&row["scenario_id"]) == "ego"), "{format}");
         let notice = fs_err::read_to_string(folder.join("NOTICE.txt")).unwrap();
-        assert!(
-            notice.contains("Sources and terms") && notice.contains("interaction: INTERACTION dataset"),
-            "{notice}"
-        );
+        assert!(notice.contains("Sources and terms"), "{notice}");
+        assert!(notice.contains("interaction: INTERACTION dataset"), "{notice}");
         let report = json(&folder.join("export.json"));
-        assert_eq!(
-            (report["format"].as_str(), report["n_scenarios"].as_u64()),
-            (Some(format), Some(n_scenarios as u64))
-        );
-        assert_eq!(
-            report["n_tracks"].as_u64(),
-            Some(tracks.iter().filter(|row| row["left_out"].is_empty()).count() as u64)
-        );
+        let found = (report["format"].as_str(), report["n_scenarios"].as_u64());
+        assert_eq!(found, (Some(format), Some(n_scenarios as u64)));
+        let seen = report["n_tracks"].as_u64();
+        assert_eq!(seen, Some(tracks.iter().filter(|row| row["left_out"].is_empty()).count() as u64));
         assert_eq!(report["assumed"]["no_subject"].as_u64(), Some((n_scenarios - verified.len()) as u64));
         // A second export has the same bytes.
         export(format, "again", &["-q"]).expect(0);
@@ -101,11 +95,8 @@ fn a_corpus_becomes_every_format_and_what_cannot_be_is_refused() {
         if expected.is_empty() {
             let outcome = export("openlabel", verdict, &[&option]).expect(1);
             let message = format!("none of the {n_scenarios} scenarios");
-            assert!(
-                outcome.stderr.contains(&message) && outcome.stderr.contains(&format!("is {verdict}")),
-                "{}",
-                outcome.stderr
-            );
+            assert!(outcome.stderr.contains(&message), "{}", outcome.stderr);
+            assert!(outcome.stderr.contains(&format!("is {verdict}")), "{}", outcome.stderr);
         } else {
             export("openlabel", verdict, &[&option]).expect(0);
             assert_eq!(ids(verdict), expected);

@@ -29,7 +29,6 @@ impl Outcome {
     }
 }
 
-/// The root of the repository.
 pub(crate) fn root() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR"))
 }

@@ -1,5 +1,4 @@
-//! Cut-in as defined by the DJINN paper: does one vehicle get into the path of another shortly before the other gets
-//! there?
+//! Cut-in as defined by the DJINN paper: does a vehicle get into the path of another shortly before it gets there?
 
 #[cfg(test)]
 mod tests;

@@ -73,7 +73,8 @@ impl Template {
                 let after_s = (step + 1).saturating_sub(n_steps) as f64 * scene.dt_s;
                 let at = motion.states[step.min(n_steps - 1)];
                 let footprint = own.footprint(&State { position: at.position + last.velocity * after_s, ..at });
-                let comes_later = |now: &State| after_s > 0.0 && !heads_alike(now, last);
+                let turns_rad = |now: &State| angle_difference(now.heading_rad, last.heading_rad).abs();
+                let comes_later = |now: &State| after_s > 0.0 && turns_rad(now) >= FRAC_PI_4;
                 others.iter().filter(|(_, now)| !comes_later(now)).all(|(track, now)| {
                     let then = State { position: now.position + now.velocity * elapsed_s, ..*now };
                     !footprint.overlaps(&track.footprint(&then))
@@ -155,10 +156,6 @@ pub(in crate::behavior) fn follows(follower: &State, leader: &State) -> bool {
     let forward = Vec2::from_angle(leader.heading_rad);
     let is_behind = (follower.position - leader.position).dot(forward) < 0.0;
     is_behind && Vec2::from_angle(follower.heading_rad).dot(forward) > 0.0
-}
-
-fn heads_alike(one: &State, other: &State) -> bool {
-    angle_difference(one.heading_rad, other.heading_rad).abs() < FRAC_PI_4
 }
 
 #[cfg(test)]

@@ -23,7 +23,6 @@ pub(crate) struct Start {
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct Segment {
-    /// Its duration, seconds.
     duration_s: f64,
     /// Along the motion; a stopped agent stays stopped.
     #[serde(default)]

@@ -1,5 +1,4 @@
-//! `djinn drive` and `djinn score`: a driving function in the scenarios of a corpus, with others that answer to it or
-//! do not.
+//! `djinn drive` and `djinn score`: a driving function in the scenarios of a corpus, with others that answer or do not.
 
 use super::{begins_anew, use_threads};
 use crate::cli::args::{DriveArgs, DriveGates, OutputArgs, ScoreArgs};
@@ -131,6 +130,19 @@ fn text(report: &DriveReport) -> String {
             margins.n_scenarios, margins.n_sooner, margins.n_later
         );
     }
+    write_rates(&mut text, report);
+    for matters in report.that_matter.iter().take(N_SHOWN) {
+        let why = matters.why.as_deref().unwrap_or_default();
+        let _ = writeln!(text, "  {}: {} ({why})", matters.scenario_id, matters.outcome);
+    }
+    if report.that_matter.len() > N_SHOWN {
+        let _ = writeln!(text, "  … and {} more", report.that_matter.len() - N_SHOWN);
+    }
+    text
+}
+
+/// How often the driver fails at each place.
+fn write_rates(text: &mut String, report: &DriveReport) {
     for at in report.rates.iter().flatten() {
         if let Some((own, careful)) = at.per_1000_km.zip(at.careful_per_1000_km) {
             let _ =
@@ -168,12 +180,4 @@ fn text(report: &DriveReport) -> String {
             "no scenario has a rate and is a sample of its bucket: evaluate the corpus again, with [mine]"
         );
     }
-    for matters in report.that_matter.iter().take(N_SHOWN) {
-        let why = matters.why.as_deref().unwrap_or_default();
-        let _ = writeln!(text, "  {}: {} ({why})", matters.scenario_id, matters.outcome);
-    }
-    if report.that_matter.len() > N_SHOWN {
-        let _ = writeln!(text, "  … and {} more", report.that_matter.len() - N_SHOWN);
-    }
-    text
 }

@@ -108,7 +108,6 @@ struct Known {
     scenarios: BTreeSet<Fingerprint>,
     /// The scenes that scenarios continue, and their number of timesteps and time step.
     scenes: BTreeMap<Fingerprint, (u32, f64)>,
-    /// The lanes of each map.
     lanes: BTreeMap<String, BTreeSet<i64>>,
 }
 

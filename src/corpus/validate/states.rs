@@ -21,7 +21,6 @@ const MAX_DISTANCE_M: f64 = 5000.0;
 /// millimeter.
 const FRAME_TOLERANCE_M: f64 = 0.01;
 
-/// The columns of states.
 struct States<'a> {
     track_id: &'a StringArray,
     is_center: &'a BooleanArray,

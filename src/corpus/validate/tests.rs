@@ -184,11 +184,8 @@ fn rows_that_are_missing_or_too_many_are_found() {
     corpus.rewrite(CorpusTable::Scenarios, |batch| batch.slice(0, batch.num_rows() - 1));
     let report = corpus.report();
     let has = |part: &str| report.findings.iter().any(|finding| finding.detail.contains(part));
-    assert!(
-        has("belong to no scenario") && has("n_scenarios is 24, but there are 23") && has("there is no scenario"),
-        "{:?}",
-        report.findings
-    );
+    assert!(has("belong to no scenario") && has("n_scenarios is 24, but there are 23"), "{:?}", report.findings);
+    assert!(has("there is no scenario"), "{:?}", report.findings);
 
     let mut corpus = Corpus::new();
     corpus.rewrite(CorpusTable::Lanes, |batch| batch.slice(0, 2));

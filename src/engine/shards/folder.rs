@@ -31,13 +31,11 @@ struct About {
     /// The identity that its workers share.
     #[serde(flatten)]
     identity: Identity,
-    /// Number of its shards.
     n_shards: usize,
     /// Whether it was made for several workers. No other process knows of a plan that a process made for itself, so
     /// that one is discarded without asking.
     is_shared: bool,
-    /// Whether the stage was requested to be done again, so that finished work with the same settings does not make the
-    /// plan needless.
+    /// Whether the stage was requested to be done again, so that finished work does not make the plan needless.
     redoes: bool,
 }
 
@@ -56,9 +54,6 @@ pub(super) struct FinishedShard<S> {
 
 impl ShardFolder {
     /// The plans of a stage in a run folder; incomplete plans do not count.
-    ///
-    /// # Errors
-    /// When the record of a plan is damaged; errors of the file system.
     pub(in crate::engine) fn all(root: &Path, kind: &'static StageKind) -> Result<Vec<Self>> {
         let Some(names) = kind.shards else { return Ok(Vec::new()) };
         let mut found = Vec::new();
@@ -70,9 +65,6 @@ impl ShardFolder {
     }
 
     /// Removes the remains of plans that a killed process had not finished writing or removing.
-    ///
-    /// # Errors
-    /// See [`ShardFolder::discard`].
     pub(super) fn remove_remains(root: &Path, kind: &'static StageKind) -> Result<()> {
         let Some(names) = kind.shards else { return Ok(()) };
         let remains = plan_dirs(root, kind)?.into_iter().filter(|dir| !dir.join(ABOUT_FILE).exists());
@@ -94,9 +86,6 @@ impl ShardFolder {
     }
 
     /// Keeps a plan, which no other process may use yet.
-    ///
-    /// # Errors
-    /// When foreign files are in its place; errors of the file system.
     pub(super) fn write(
         root: &Path,
         kind: &'static StageKind,
@@ -183,7 +172,6 @@ impl ShardFolder {
         self.identity().refusal(self.kind, difference, (n_finished, n_shards))
     }
 
-    /// The path of the folder.
     pub(super) fn dir(&self) -> &Path {
         &self.dir
     }
@@ -259,9 +247,6 @@ impl ShardFolder {
     }
 
     /// Removes the plan and everything that workers wrote for it. Workers that are still running find no plan.
-    ///
-    /// # Errors
-    /// When foreign files are in the folder; errors of the file system.
     pub(super) fn discard(&self) -> Result<()> {
         discard(&self.dir, self.names)
     }
@@ -301,7 +286,6 @@ impl ShardFolder {
         (1..=MAX_TRIES).map(move |number| self.try_path(idx, number))
     }
 
-    /// The tries at a shard.
     pub(super) fn tries(&self, idx: usize) -> Tries {
         Tries::of(self.try_paths(idx))
     }

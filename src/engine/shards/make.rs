@@ -33,7 +33,6 @@ const POLL: Duration = Duration::from_millis(200);
 pub struct Worker {
     /// Its number, from 1.
     number: usize,
-    /// The number of all workers.
     of: usize,
 }
 
@@ -63,8 +62,7 @@ impl Worker {
     pub(super) const ALONE: Self = Self { number: 1, of: 1 };
 
     /// The order in which this worker takes the shards: its own first, then those of other workers from the end
-    /// backward, because those are reached last. Every worker starts at a different shard, so that they do not all take
-    /// the same one.
+    /// backward, because those are reached last. Every worker starts at a different shard.
     pub(super) fn order(self, n_shards: usize) -> impl Iterator<Item = usize> {
         let own = (self.number - 1..n_shards).step_by(self.of);
         let others = move || (0..n_shards).rev().filter(move |idx| idx % self.of != self.number - 1);
@@ -186,9 +184,6 @@ impl<'a> Shards<'a> {
 
     /// Works on these shards until each is finished, or returns `false` once one is given up. Shards that other workers
     /// have begun are left to them for a while.
-    ///
-    /// # Errors
-    /// See [`Shards::go_about`].
     pub fn complete<S: Serialize>(
         &self,
         range: Range<usize>,

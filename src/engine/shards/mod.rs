@@ -1,5 +1,4 @@
-//! A stage that is divided into shards, which any number of processes make: who plans, who makes which shard, who
-//! publishes?
+//! A stage that is divided into shards, which any number of processes make: who plans, makes and publishes?
 //!
 //! A shard is a function of the plan and its index alone, so there are no leases and no coordinator: if two workers
 //! make the same shard, that costs time but not correctness. One process plans ([`plan`]), workers make shards
@@ -156,9 +155,6 @@ pub(super) fn is_redone(root: &Path, stage: &'static StageKind) -> Result<bool> 
 
 /// Removes the plans and shards of the stage with this record, once it is finished. Plans for other work stay; workers'
 /// logs are appended to the log of the run.
-///
-/// # Errors
-/// On I/O errors, or if there are foreign files.
 pub(super) fn clean_up(root: &Path, stage: &'static StageKind, done: &StageRecord) -> Result<()> {
     for folder in ShardFolder::all(root, stage)? {
         if folder.identity().is_work_of(done) {

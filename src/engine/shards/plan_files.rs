@@ -36,9 +36,6 @@ pub(super) fn plan_dirs(root: &Path, kind: &'static StageKind) -> Result<Vec<Pat
 }
 
 /// Removes a plan and everything that workers wrote for it.
-///
-/// # Errors
-/// When foreign files are in the folder; errors of the file system.
 pub(super) fn discard(dir: &Path, names: ShardNames) -> Result<()> {
     let found = files_below(dir)?;
     let ours: BTreeSet<PathBuf> = found.into_iter().filter(|name| is_ours(name, names)).collect();

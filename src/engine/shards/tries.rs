@@ -34,7 +34,6 @@ pub(super) struct Try {
 /// The marks of a shard.
 #[derive(Debug, Default)]
 pub(super) struct Tries {
-    /// The number of marks.
     pub(super) n_tries: usize,
     /// The reasons of failed tries.
     pub(super) failed: Vec<String>,

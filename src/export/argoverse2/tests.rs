@@ -1,5 +1,4 @@
-//! Argoverse 2: do rows and maps meet the expectations of the dataset's readers, and does our own reader read them
-//! back?
+//! Argoverse 2: do rows and maps meet the expectations of the dataset's readers, and of our own?
 
 use super::*;
 use crate::export::testing::{self, add_all, assert_same_states, read};
@@ -143,10 +142,8 @@ fn our_own_reader_finds_the_same_states_and_lanes() {
     let lanes = scene.lanes.transformed(&scene.world_from_scene);
     assert_eq!(maps.len(), 1);
     for (ours, theirs) in lanes.lanes().iter().zip(maps[0].1.lanes()) {
-        assert_eq!(
-            (ours.id, &ours.successors, &ours.predecessors),
-            (theirs.id, &theirs.successors, &theirs.predecessors)
-        );
+        let seen = (ours.id, &ours.successors, &ours.predecessors);
+        assert_eq!(seen, (theirs.id, &theirs.successors, &theirs.predecessors));
         for (a, b) in ours.left.0.iter().zip(&theirs.left.0).chain(ours.centerline.0.iter().zip(&theirs.centerline.0)) {
             assert!(a.distance(*b) < 2e-6);
         }

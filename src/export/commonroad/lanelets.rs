@@ -14,7 +14,6 @@ pub(super) struct Lanelets {
     pub(super) assumed: Vec<(&'static str, u64)>,
 }
 
-/// The lanelets of a map, in its frame.
 pub(super) fn of(map: &LaneGraph) -> Lanelets {
     let bounded: Vec<(&Lane, LaneBounds)> =
         map.lanes().iter().filter_map(|lane| Some((lane, LaneBounds::of(lane)?))).collect();

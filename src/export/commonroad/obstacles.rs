@@ -57,8 +57,7 @@ fn obstacle(track: &Track, states: &[State]) -> Element {
         .child(element("trajectory").children(later))
 }
 
-/// The format's type of a road user. Pedestrians and cyclists that the recording does not distinguish become
-/// pedestrians.
+/// The format's type of a road user. Who may be a pedestrian or a cyclist becomes a pedestrian.
 const fn kind(class: AgentClass) -> &'static str {
     match class {
         AgentClass::Vehicle => "car",

@@ -44,10 +44,8 @@ fn lanelets_are_connected_and_lie_where_the_lanes_lie() {
     // The lane runs north; its left boundary is 2 m to the west.
     assert_eq!(points("leftBound"), [(998.0, 2000.0), (998.0, 2040.0)]);
     assert_eq!(points("rightBound"), [(1002.0, 2000.0), (1002.0, 2040.0)]);
-    assert_eq!(
-        (lanelets[0].at("laneletType").text.as_str(), lanelets[0].at("userOneWay").text.as_str()),
-        ("urban", "vehicle")
-    );
+    let found = (lanelets[0].at("laneletType").text.as_str(), lanelets[0].at("userOneWay").text.as_str());
+    assert_eq!(found, ("urban", "vehicle"));
 }
 
 #[test]
@@ -152,10 +150,8 @@ fn what_is_exported_can_be_ingested_again() {
     for (idx, track) in scene.tracks.iter().enumerate() {
         let name = tracks[idx].as_ref().unwrap();
         let found = again.tracks.iter().position(|track| &track.id.0 == name).unwrap();
-        assert_eq!(
-            (again.tracks[found].class, again.tracks[found].extent),
-            (track.class, Some(track.extent_or_nominal()))
-        );
+        let seen = (again.tracks[found].class, again.tracks[found].extent);
+        assert_eq!(seen, (track.class, Some(track.extent_or_nominal())));
         assert_same_states((&scene, idx), (again, found), -(scene.current_timestep() as isize), [1e-6; 2]);
     }
     assert_eq!(again.lanes.lanes().len(), scene.lanes.lanes().len());

@@ -75,7 +75,6 @@ impl Links {
         stays
     }
 
-    /// The link element of a road.
     pub(super) fn of_road(&self, road: usize) -> Element {
         let ends = [("predecessor", self.at_start.get(&road), "end"), ("successor", self.at_end.get(&road), "start")];
         let links = ends.into_iter().filter_map(|(name, node, contact)| {

@@ -144,10 +144,8 @@ fn roads_follow_each_other_and_fork_in_junctions() {
     assert_eq!(link(1, "predecessor"), to("road", "1"));
     assert_eq!(roads[1].at("link").at("predecessor").attr("contactPoint"), "end");
     let (fork, join) = (link(1, "successor"), link(5, "predecessor"));
-    assert_eq!(
-        [&fork, &fork, &join, &join],
-        [&link(2, "predecessor"), &link(3, "predecessor"), &link(3, "successor"), &link(4, "successor")]
-    );
+    let seen = [&fork, &fork, &join, &join];
+    assert_eq!(seen, [&link(2, "predecessor"), &link(3, "predecessor"), &link(3, "successor"), &link(4, "successor")]);
     let connections = |junction: &Node| -> Vec<(String, String)> {
         assert_eq!(junction.attr("type"), "direct");
         let pair = |node: &&Node| {
@@ -203,10 +201,8 @@ fn lanes_side_by_side_are_one_road_in_which_lanes_can_be_changed() {
     assert_eq!(roads.iter().map(|road| road.attr("name")).collect::<Vec<_>>(), ["lanes 1 2", "lanes 3 4", "lane 5"]);
     let section = roads[0].at("lanes").at("laneSection").at("right").all("lane");
     let width = |lane: &Node| lane.at("width").attr_number("a");
-    assert_eq!(
-        section.iter().map(|lane| (lane.attr("id"), width(lane))).collect::<Vec<_>>(),
-        [("-1", 3.5), ("-2", 3.0)]
-    );
+    let found = section.iter().map(|lane| (lane.attr("id"), width(lane))).collect::<Vec<_>>();
+    assert_eq!(found, [("-1", 3.5), ("-2", 3.0)]);
     assert_eq!(section[0].at("roadMark").attr("type"), "broken");
     let connections = root.at("junction").all("connection");
     let links = |i: usize| -> Vec<(&str, &str)> {

@@ -11,11 +11,7 @@ use arrow::array::{Array, AsArray};
 use arrow::datatypes::{DataType, Field, Float64Type};
 use serde_json::{Map, Value, json};
 
-/// The tag of the assessment, and one for each failed validity check. Values that are not defined for the scenario are
-/// left out.
-///
-/// # Errors
-/// [`crate::store::Error::Invalid`] when the assessment cannot be a row of the scenario table.
+/// The tag of the assessment, and one for each failed validity check. Undefined values are left out.
 pub(super) fn tags(scene: &Scene, judged: &Assessment) -> Result<Vec<Value>> {
     let (mut text, mut flags, mut numbers) = (Vec::new(), Vec::new(), Vec::new());
     for (field, array) in assessment_columns(judged)?.iter().filter(|(_, array)| array.is_valid(0)) {
@@ -132,10 +128,8 @@ pub(super) mod tests {
     #[test]
     fn figures_have_units_and_what_is_not_defined_is_left_out() {
         let tags = tags(&testing::scene(), &judgment()).unwrap();
-        assert_eq!(
-            tags.iter().map(|tag| tag["type"].as_str().unwrap()).collect::<Vec<_>>(),
-            ["assessment", "violation"]
-        );
+        let found = tags.iter().map(|tag| tag["type"].as_str().unwrap()).collect::<Vec<_>>();
+        assert_eq!(found, ["assessment", "violation"]);
         let entry = |tag: usize, kind: &str, name: &str| -> Option<Value> {
             tags[tag]["tag_data"][kind].as_array().unwrap().iter().find(|entry| entry["name"] == name).cloned()
         };

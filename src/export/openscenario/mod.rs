@@ -34,7 +34,6 @@ const DATE: &str = "1970-01-01T00:00:00";
 pub(super) struct OpenScenario {
     dir: PathBuf,
     ego: EgoMotion,
-    /// The roads of earlier scenes.
     roads: BTreeMap<SceneId, Roads>,
 }
 
@@ -102,11 +101,13 @@ impl Exporter for OpenScenario {
         let logic = roads.file.as_ref().map(|file| element("LogicFile").attr("filepath", file));
         // Players assume that the first entity is the ego.
         actors.sort_by_key(|actor| actor.name != EGO_NAME);
+        let object =
+            |actor: &Actor| element("ScenarioObject").attr("name", &actor.name).child(actor.body.element(&actor.name));
         let root = element("OpenSCENARIO")
             .child(header(item))
             .child(element("CatalogLocations"))
             .child(element("RoadNetwork").children(logic))
-            .child(element("Entities").children(actors.iter().map(Actor::scenario_object)))
+            .child(element("Entities").children(actors.iter().map(object)))
             .child(storyboard::of(&actors, scene.n_timesteps, scene.dt_s));
         let file = format!("{}.xosc", item.stem);
         write_atomically::<Error>(&self.dir.join(&file), |sink| Ok(root.write_document(sink)?))?;
@@ -128,10 +129,6 @@ struct Actor {
 }
 
 impl Actor {
-    fn scenario_object(&self) -> Element {
-        element("ScenarioObject").attr("name", &self.name).child(self.body.element(&self.name))
-    }
-
     /// Its positions, with headings that continue beyond ±π, so that they are interpolated the short way.
     fn positions(&self) -> Vec<Element> {
         let mut heading_rad = None;

@@ -145,7 +145,6 @@ fn stop_signs(lanes: &[&Lane]) -> BTreeMap<i64, StopSign> {
     signs
 }
 
-/// The parts of a tag.
 fn parts<'l>(lane: &'l Lane, tag: &str) -> impl Iterator<Item = &'l str> {
     lane.attributes.tags.get(tag).map_or("", String::as_str).split(';')
 }
@@ -164,7 +163,6 @@ fn points(line: &Polyline) -> Vec<MapPoint> {
     line.0.iter().map(|at| MapPoint { x: at.x, y: at.y }).collect()
 }
 
-/// The number of a name in an enumeration.
 fn number_of(names: &[&str], name: &str) -> Option<i32> {
     names.iter().position(|known| *known == name).and_then(|number| i32::try_from(number).ok())
 }

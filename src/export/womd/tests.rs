@@ -30,9 +30,8 @@ fn states_classes_and_roles_are_the_ones_of_the_scenario() {
     assert_eq!((of("2").role, of("77").role), (TrackRole::Scored, TrackRole::Context));
     assert_eq!((of("2").class, of("77").class), (AgentClass::Vehicle, AgentClass::Pedestrian));
     let now = read.ego().trajectory.get(3).unwrap().transformed(&read.world_from_scene);
-    assert!(
-        now.position.distance(Vec2::new(1000.0, 2003.0)) < 1e-9 && now.velocity.distance(Vec2::new(0.0, 10.0)) < 1e-6
-    );
+    assert!(now.position.distance(Vec2::new(1000.0, 2003.0)) < 1e-9);
+    assert!(now.velocity.distance(Vec2::new(0.0, 10.0)) < 1e-6);
     assert!(!of("77").trajectory.is_valid(2) && !of("2").trajectory.is_valid(0));
     // Names that are no numbers give way to numbers, of all.
     scene.tracks[2].id = "P3".into();

@@ -29,7 +29,6 @@ pub struct BucketPart {
 }
 
 impl Divisions {
-    /// Number of parts.
     pub(super) fn len(&self) -> usize {
         match self {
             Self::Edges(edges) => edges.len().saturating_sub(1),
@@ -182,8 +181,7 @@ impl Buckets {
     }
 }
 
-/// Distributes `n` in proportion to weights: whole numbers first, the rest to the largest fractions, the first among
-/// equal ones.
+/// Distributes `n` in proportion to weights: whole numbers first, the rest to the largest fractions, in order.
 fn apportion(n: u64, weights: &[f64]) -> Vec<u64> {
     let sum: f64 = weights.iter().sum();
     let exact: Vec<f64> = weights.iter().map(|weight| n as f64 * weight / sum).collect();

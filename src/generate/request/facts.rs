@@ -1,5 +1,4 @@
-//! Which facts of an event can a request name? Its parameters, the place, attributes of coverage, and classes of its
-//! agents.
+//! Which facts of an event can a request name? Its parameters, the place, coverage, and classes of its agents.
 
 use super::config::{Divisions, Requirement};
 use crate::behavior::{BehaviorEntry, BehaviorEvent};
@@ -37,10 +36,7 @@ pub(super) fn check_name(behavior: &BehaviorEntry, name: &str, texts: Option<&[S
     }
     let is_parameter = behavior.parameters.contains(&name) || name == CAREFUL_MARGIN;
     let Some(texts) = texts else {
-        return match is_parameter {
-            true => Ok(()),
-            false => refuse("holds text; give a list of strings".to_owned()),
-        };
+        return if is_parameter { Ok(()) } else { refuse("holds text; give a list of strings".to_owned()) };
     };
     let values: Option<Vec<&str>> = match name {
         PLACE => None,

@@ -121,7 +121,6 @@ pub(super) struct CellCounts {
 /// What a cell brought for a bucket since the last accepted sample.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 struct InVain {
-    /// Samples that aimed at it.
     n_aimed: u64,
     n_near_duplicates: u64,
 }
@@ -309,8 +308,7 @@ impl Ledger {
         self.accepted[bucket] < self.wanted[bucket].min(self.room[bucket])
     }
 
-    /// Whether the requested agents move almost as in an accepted scenario, or in one `of_shard` that is not counted
-    /// yet.
+    /// Whether the requested agents move almost as in an accepted scenario, or in one `of_shard` not counted yet.
     pub(super) fn has_like(&self, path: &PairPath, of_shard: &[&PairPath]) -> bool {
         let is_near = |distance_m: f64| distance_m < self.duplicate_distance_m;
         self.paths.nearest(&self.behavior, path).is_some_and(|(_, distance_m)| is_near(distance_m))

@@ -131,10 +131,8 @@ fn arms_become_sweeps_at_each_strength() {
     assert_eq!(names, ["tight/guided@1", "tight/guided@8", "tight/plain"]);
     assert_eq!(resolved.n_sweeps, 0);
     let sweep = &resolved.sweeps[1];
-    assert_eq!(
-        (sweep.levels()[0].strength, sweep.levels().len(), sweep.n_scenes, sweep.pairs.per_scene),
-        (8.0, 1, 7, 2)
-    );
+    let found = (sweep.levels()[0].strength, sweep.levels().len(), sweep.n_scenes, sweep.pairs.per_scene);
+    assert_eq!(found, (8.0, 1, 7, 2));
     assert_eq!((sweep.behavior.as_deref(), sweep.n_samples), (Some("cut_in"), 3));
     let arms: Vec<(&str, usize, u64)> =
         resolved.requests[0].arms.iter().map(|arm| (arm.name.as_str(), arm.sweep_idx, arm.n_evaluations)).collect();
@@ -306,8 +304,7 @@ fn a_bucket_of_which_nothing_comes_is_given_up() {
 fn samples_of_arms_that_aim_are_asked_for_an_open_bucket_that_their_cell_can_reach() {
     let request = tight("arms = ['plain', 'aimed']\nper_bucket = 2\nbudget = { n_samples = 300 }");
     assert_eq!(request.arms.iter().map(|arm| arm.aims).collect::<Vec<_>>(), [false, true]);
-    // Buckets 0 and 1 hold gaps from 0 to 5 m, the others from 5 to 10 m. Every cell reaches one bucket; none but
-    // bucket 0 is ever hit.
+    // Buckets 0 and 1 hold gaps from 0 to 5 m, the others from 5 to 10 m. Every cell reaches one; only bucket 0 is hit.
     let pool = Pool { feasible: (0..12).map(|cell| std::iter::once((cell % 4, 0.5)).collect()).collect(), ..pool(12) };
     let (rounds, tallies, _) = fulfil(&request, &pool, 1, |_, cell, _| (cell % 4 == 0).then_some(0));
     let mut n_aimed = 0;

@@ -12,7 +12,6 @@ use crate::settings::{self, Issue, Result};
 struct Purpose<'a> {
     /// The section, which provides the defaults of sweeps.
     config: &'a GenerateConfig,
-    /// The requested behavior.
     behavior: Option<&'a dyn Behavior>,
 }
 
@@ -72,9 +71,6 @@ impl SweepConfig {
     }
 
     /// The sweeps that try this arm for a request: one for each level.
-    ///
-    /// # Errors
-    /// Names the key that does not fit the request's behavior.
     pub(in crate::generate) fn resolve_arm(
         &self,
         request: &RequestConfig,
@@ -110,10 +106,6 @@ impl SweepConfig {
     }
 }
 
-/// The mined behavior with this name.
-///
-/// # Errors
-/// Names the key `behavior`.
 pub(in crate::generate) fn mined<'a>(id: &str, behaviors: &'a [Box<dyn Behavior>]) -> Result<&'a dyn Behavior> {
     behaviors.iter().map(AsRef::as_ref).find(|behavior| behavior.id() == id).ok_or_else(|| {
         let known: Vec<&str> = behaviors.iter().map(|behavior| behavior.id()).collect();

@@ -72,8 +72,7 @@ pub struct Diffusion {
     pub classifier_free: Option<ClassifierFreeConfig>,
     /// Edits of the recording that samples start from.
     pub edit: Option<EditConfig>,
-    /// The parameters of the event for which the template of the requested agents is solved. Empty: there is no
-    /// template.
+    /// The parameters of the event for which the template of the requested agents is solved. Empty: none.
     pub template: &'static [&'static str],
 }
 

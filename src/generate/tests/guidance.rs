@@ -96,8 +96,7 @@ fn classifier_and_objectives_act_together() {
     assert!(guided.iter().zip(&classified).any(|(a, b)| difference_m(&a.scenario.scene, &b.scenario.scene) > 1e-3));
 }
 
-/// An untrained classifier prefers something or other; log odds pull harder than log p, and only this difference is
-/// tested here.
+/// An untrained classifier prefers something or other; log odds pull harder than log p, which alone is tested here.
 #[test]
 fn a_classifier_guides_the_pair_by_either_potential() {
     let run = |rest: &str| generate(&config(&format!("{SWEEPS}{rest}"))).split_off(15);
@@ -212,7 +211,7 @@ fn what_would_repeat_the_template_of_another_sample_is_not_sampled() {
         assert_eq!(output.records.len(), shard.cells.len());
         assert!(output.records.iter().all(|record| record.scenario.provenance.sample_idx == shard.first_sample));
         assert_eq!(output.rejected.len(), 4 * shard.cells.len());
-        assert!(output.rejected.iter().all(RejectedSample::repeats));
+        assert!(output.rejected.iter().all(|sample| sample.reason == Rejection::RepeatedTemplate));
         let key = SampleKey::of(shard, &output.records[0].scenario.provenance).unwrap();
         assert_eq!(generator.regenerate(shard, key).unwrap().unwrap().scenario, output.records[0].scenario);
         let repeated = SampleKey { sample_idx: key.sample_idx + 1, ..key };

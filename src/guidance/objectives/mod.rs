@@ -65,9 +65,6 @@ pub trait SceneObjective {
     /// The log potential J ≤ 0 of each row, (B), higher is better, without the weight, for the motion of `agents`.
     /// `states` (B, A, T, 3) are positions and headings in meters and radians of each row's ego frame. Differentiable
     /// in them, row by row.
-    ///
-    /// # Errors
-    /// When shapes do not fit, or no agent has a role.
     fn log_potential(&self, agents: &AgentSelector, states: &Tensor, context: &SceneContext) -> Result<Tensor>;
 }
 
@@ -182,9 +179,6 @@ impl ObjectiveConfig {
     }
 
     /// The log potential of each row, (B): [`SceneObjective::log_potential`].
-    ///
-    /// # Errors
-    /// When shapes do not fit, or no agent has a role.
     pub fn log_potential(&self, states: &Tensor, context: &SceneContext) -> Result<Tensor> {
         self.objective().log_potential(&self.agents(), states, context)
     }

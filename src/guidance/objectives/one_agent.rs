@@ -33,7 +33,6 @@ impl OneAgent {
         Ok(Self { states, counts, at, is_valid, n_timesteps, present: context.n_history.saturating_sub(1) })
     }
 
-    /// Its position at a timestep.
     fn position(&self, row: usize, timestep: usize) -> Vec2 {
         let at = 3 * (row * self.n_timesteps + timestep);
         Vec2::new(self.at[at], self.at[at + 1])

@@ -59,7 +59,6 @@ impl Traffic {
         self
     }
 
-    /// The generated timesteps.
     pub(super) fn generated(&self) -> Range<usize> {
         N_HISTORY..N_TIMESTEPS
     }

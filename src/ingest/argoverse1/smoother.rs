@@ -28,7 +28,6 @@ const START_STD_MPS: f64 = 10.0;
 pub(super) struct Node {
     /// Seconds.
     pub(super) time_s: f64,
-    /// The recorded position.
     pub(super) recorded: Option<Vec2>,
 }
 

@@ -28,7 +28,6 @@ const VERSIONS: [&str; 3] = ["2018a", "2018b", "2020a"];
 /// Larger than any scenario.
 const MAX_BYTES: u64 = 64 << 20;
 
-/// The format of CommonRoad.
 pub(super) struct CommonRoad<'a> {
     config: &'a IngestConfig,
     horizon: Horizon,

@@ -25,7 +25,6 @@ pub(super) struct Obstacles {
     pub(super) ignored: Vec<String>,
 }
 
-/// An obstacle with its states.
 pub(super) struct Obstacle {
     track: RecordedTrack,
     is_static: bool,

@@ -134,7 +134,6 @@ impl Cases<'_> {
         ControlFlow::Continue(())
     }
 
-    /// Ends all cases.
     fn end_all(&mut self, done: &mut dyn FnMut(Case) -> ControlFlow<()>) -> ControlFlow<()> {
         self.held.drain(..).chain(self.current.take()).try_for_each(done)
     }
@@ -185,7 +184,6 @@ impl Cases<'_> {
     }
 }
 
-/// The case id in a row.
 enum CaseId<'a> {
     Whole(&'a [u8]),
     /// The row has too few or too many columns, so this is its case only if it looks like one: a number followed by

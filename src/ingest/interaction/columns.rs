@@ -13,7 +13,6 @@ const MAX_COLUMNS: usize = 256;
 /// The position of each quantity, by the names in the header. Other columns are ignored.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct TrackColumns {
-    /// Number of columns.
     pub(super) n_columns: usize,
     /// v1.2 cuts recordings into cases.
     pub(super) case_id: Option<usize>,

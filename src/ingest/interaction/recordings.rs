@@ -122,8 +122,7 @@ impl Recordings {
         self.held.remove(key).map_or(ControlFlow::Continue(()), |unit| emit(Ok(unit)))
     }
 
-    /// Emits the held files, each as a recording of its own: its counterpart was there in the first pass and has
-    /// disappeared.
+    /// Emits the held files, each as a recording of its own: its counterpart has disappeared since the first pass.
     pub(super) fn flush(&mut self, emit: &mut EmitUnit<'_>) -> ControlFlow<()> {
         std::mem::take(&mut self.held).into_values().try_for_each(|unit| emit(Ok(unit)))
     }

@@ -72,7 +72,6 @@ impl Survey {
     }
 }
 
-/// The unit of a complete case, or a reject.
 fn unit_of(case: Case, table: &RawUnit) -> Result<RawUnit, Reject> {
     let id = String::from_utf8_lossy(&case.id).into_owned();
     if id.is_empty() || !id.chars().all(|c| c.is_ascii_graphic() && c != '/') {
@@ -169,10 +168,8 @@ mod tests {
         let units = split(&[HEADER, &row("1.0", 1), &row("2.0", 1), &row("1.0", 2), &"x".repeat(100_000)].concat());
         let reason = |index: usize| units[index].as_ref().unwrap_err().split(' ').next().unwrap_or_default().to_owned();
         // The case at which it breaks off is incomplete, too, and the file's reject tells why.
-        assert_eq!(
-            (reason(0), &units[1], reason(2)),
-            ("case_not_contiguous".into(), &whole("2.0", 3, 1), "unreadable".into())
-        );
+        let found = (reason(0), &units[1], reason(2));
+        assert_eq!(found, ("case_not_contiguous".into(), &whole("2.0", 3, 1), "unreadable".into()));
         assert_eq!(units.len(), 3);
     }
 

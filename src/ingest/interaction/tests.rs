@@ -89,10 +89,8 @@ fn a_case_is_a_scene() {
     assert_eq!(scene.map_id.0, "interaction/SIM_A");
     let source = &scene.source;
     assert_eq!((source.version.as_str(), source.split, source.place.as_str()), ("v1.2", Split::Train, "SIM_A"));
-    assert_eq!(
-        (source.file.as_str(), source.case_id.as_str(), source.first_frame.as_str()),
-        ("train/SIM_A_train.csv", "1.0", "1")
-    );
+    let found = (source.file.as_str(), source.case_id.as_str(), source.first_frame.as_str());
+    assert_eq!(found, ("train/SIM_A_train.csv", "1.0", "1"));
 
     let [first, late, pedestrian] = scene.tracks.as_slice() else { panic!("three tracks") };
     assert_eq!((first.id.0.as_str(), first.class, first.role), ("7", AgentClass::Vehicle, TrackRole::Context));

@@ -96,8 +96,7 @@ fn class_of(agent_type: &[u8]) -> Option<AgentClass> {
     }
 }
 
-/// Maximum number of tracks of a recording; each takes some kilobytes while it is read, and real recordings have
-/// thousands.
+/// Maximum number of tracks of a recording; each takes some kilobytes, and real recordings have thousands.
 const MAX_TRACKS: usize = 100_000;
 
 /// The tracks that are being read.
@@ -141,7 +140,6 @@ struct Builder<'a> {
     observations: Vec<(Observation, Line<'a>)>,
 }
 
-/// The line of a state.
 struct Line<'a> {
     file: &'a str,
     number: u64,
@@ -250,10 +248,8 @@ mod tests {
         assert_eq!((spelled_twice.len(), spelled_twice[0].id.0.as_str()), (1, "9"));
 
         let track = tracks[0].cut(3, 4, 1).unwrap();
-        assert_eq!(
-            track.trajectory.entries().iter().map(Option::is_some).collect::<Vec<_>>(),
-            [true, false, true, false]
-        );
+        let found = track.trajectory.entries().iter().map(Option::is_some).collect::<Vec<_>>();
+        assert_eq!(found, [true, false, true, false]);
         assert_eq!(track.trajectory.derivation(), None);
         assert!(tracks[0].cut(6, 4, 1).is_none() && tracks[1].cut(3, 4, 1).is_none());
     }

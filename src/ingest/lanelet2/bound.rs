@@ -10,9 +10,7 @@ use std::collections::BTreeMap;
 pub(super) struct Bound {
     /// The ways that form it, in order, and whether each runs against the direction of the bound.
     pub(super) ways: Vec<(i64, bool)>,
-    /// The node at which it begins.
     pub(super) first_node: i64,
-    /// The node at which it ends.
     pub(super) last_node: i64,
     /// Its points, meters.
     pub(super) line: Polyline,

@@ -138,7 +138,10 @@ impl Document<'_> {
             (1, ..) => {
                 return Err(format!("is not an OSM document: the root element is `<{name}>`, expected `<osm>`").into());
             }
-            (2, "node" | "way" | "relation", _) if attributes.is_deleted() => self.open = Open::Deleted,
+            // JOSM and Lanelet2 keep deleted elements in the file.
+            (2, "node" | "way" | "relation", _) if attributes.get("action") == Some("delete") => {
+                self.open = Open::Deleted;
+            }
             (2, "node", _) => {
                 let (id, position) = (attributes.id("id", name)?, attributes.position());
                 self.open = Open::Node { id, position, local: [None; 2] };
@@ -218,7 +221,6 @@ fn insert_new<T>(elements: &mut BTreeMap<i64, T>, id: i64, element: T) -> bool {
     taken
 }
 
-/// The attributes of one element.
 struct Attributes(Vec<(String, String)>);
 
 impl Attributes {
@@ -245,11 +247,6 @@ impl Attributes {
     fn id(&self, key: &str, element: &str) -> Result<i64, Malformed> {
         let text = self.get(key).ok_or_else(|| format!("`<{element}>` without `{key}`"))?;
         text.parse().map_err(|_| format!("`<{element}>`: `{key}` is \"{text}\", expected a whole number").into())
-    }
-
-    /// Whether the element is deleted: JOSM and Lanelet2 keep deleted elements in the file.
-    fn is_deleted(&self) -> bool {
-        self.get("action") == Some("delete")
     }
 
     /// `x` and `y` if given, otherwise `lat` and `lon`; or what is wrong with them.

@@ -26,7 +26,6 @@ pub(super) fn cubic([a, b, c, d]: [f64; 4], x: f64) -> f64 {
     a + x * (b + x * (c + x * d))
 }
 
-/// The slope of `cubic`.
 pub(super) fn cubic_slope([_, b, c, d]: [f64; 4], x: f64) -> f64 {
     b + x * (2.0 * c + x * 3.0 * d)
 }

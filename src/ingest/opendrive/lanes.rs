@@ -128,8 +128,7 @@ impl Lanes<'_> {
         Ok(())
     }
 
-    /// Connects lanes as the map says. Where that contradicts their places, lanes continue in those that begin where
-    /// they end.
+    /// Connects lanes as the map says. Where that contradicts their places, lanes continue where others begin.
     fn connect(&mut self, connections: &[Connection], report: &mut MapReport) {
         let mut touching = Touching::of(self.roads, connections);
         touching.pass_on(|key| self.short.contains(key));
@@ -265,7 +264,6 @@ impl Lanes<'_> {
     }
 }
 
-/// The name of a lane in the file.
 fn lane_name(lane: &Lane) -> String {
     let tag = |name: &str| lane.attributes.tags.get(name).map_or("", String::as_str);
     format!("lane {} of road {}", tag("lane"), tag("road"))

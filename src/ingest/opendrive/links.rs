@@ -23,7 +23,6 @@ pub(super) struct Connection {
 }
 
 impl Connection {
-    /// The connections of a junction.
     pub(super) fn all(junction: &Element, faults: &mut Faults<'_>) -> Vec<Self> {
         let id = junction.attribute("id").unwrap_or_default();
         let mut connection = |element: &Element| -> Option<Self> {

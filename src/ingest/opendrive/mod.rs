@@ -38,9 +38,6 @@ const MAX_ROUNDING_M: f64 = 0.01;
 const MAX_ROAD_M: f64 = 1e5;
 
 /// Reads a map: its vehicle lanes, and a report of its defects. Roads that cannot be read are left out and reported.
-///
-/// # Errors
-/// [`Error::Map`], naming `file`, when the document is not OpenDRIVE, exceeds a limit, or when no lane remains.
 pub(super) fn read_map(reader: &mut dyn BufRead, file: &str) -> Result<(LaneGraph, MapReport), Error> {
     let error = |what: Malformed| Error::map(file, "", what);
     let text = read_text(reader, MAX_MAP_BYTES, file)?;

@@ -34,7 +34,6 @@ impl Faults<'_> {
 pub(super) struct Road {
     pub(super) id: String,
     pub(super) length_m: f64,
-    /// The junction that it is part of.
     pub(super) junction: Option<String>,
     /// Whether traffic keeps to the left.
     pub(super) is_left_hand: bool,

@@ -38,7 +38,6 @@ pub(super) fn types_among<T: AsRef<[u8]>>(names: impl IntoIterator<Item = T>) ->
 #[derive(Debug, Default, PartialEq)]
 pub(super) struct Texts {
     pub(super) different: Vec<String>,
-    /// The index of the text of each row.
     pub(super) of_row: Vec<u32>,
     indices: BTreeMap<String, u32>,
 }
@@ -105,7 +104,6 @@ impl Table {
         self.texts.get(name?)
     }
 
-    /// The place of a row, for messages.
     pub(super) fn place_of(&self, row: usize) -> String {
         self.lines.get(row).map_or_else(|| format!("row {row}"), |line| format!("{} {line}", self.counted))
     }
@@ -115,7 +113,6 @@ impl Table {
         lacks(&self.names, missing)
     }
 
-    /// The table of these rows.
     fn of(mut rows: TableRows<'_>, lines: &[u64]) -> Result<Self, Malformed> {
         let mut numbers: Vec<Vec<f64>> = vec![Vec::new(); rows.columns.len()];
         let mut texts: Vec<Texts> = rows.columns.iter().map(|_| Texts::default()).collect();
@@ -204,10 +201,8 @@ mod tests {
             let table = read(text).unwrap();
             assert_eq!((table.n_rows, table.place_of(1)), (3, "line 3".to_owned()), "{text}");
             let ids = table.text(Some("id|who")).unwrap();
-            assert_eq!(
-                (ids.different.as_slice(), ids.of_row.as_slice()),
-                (&["a".to_owned(), "b".to_owned()][..], &[0, 1, 0][..])
-            );
+            let found = (ids.different.as_slice(), ids.of_row.as_slice());
+            assert_eq!(found, (&["a".to_owned(), "b".to_owned()][..], &[0, 1, 0][..]));
             let x = table.number(Some("x|X")).unwrap();
             assert!(x[0] == 1.5 && x[1].is_nan() && x[2].is_nan(), "{x:?}");
             assert!(table.number(Some("nowhere")).is_none() && table.number(None).is_none());
@@ -230,10 +225,8 @@ mod tests {
         writer.close().unwrap();
         let table = Table::read(&bytes, &[], &WANTED).unwrap();
         let ids = table.text(Some("id|who")).unwrap();
-        assert_eq!(
-            (ids.different.as_slice(), ids.of_row.as_slice()),
-            (&["7".to_owned(), String::new()][..], &[0, 1, 0][..])
-        );
+        let found = (ids.different.as_slice(), ids.of_row.as_slice());
+        assert_eq!(found, (&["7".to_owned(), String::new()][..], &[0, 1, 0][..]));
         let x = table.number(Some("x|X")).unwrap();
         assert!(x[..2] == [1.5, 2.5] && x[2].is_nan());
         assert!(table.lacks(&["z"]).contains("the table has id, who, x, X, y") && table.place_of(1) == "row 1");

@@ -185,9 +185,6 @@ impl TableMapping {
     }
 
     /// Refuses mappings that cannot work.
-    ///
-    /// # Errors
-    /// [`Error::Config`] names the key.
     pub(in crate::ingest) fn validate(&self) -> Result<(), Error> {
         let refuse =
             |key: &str, detail: &str| Err(Error::Config { key: format!("table.{key}"), detail: detail.to_owned() });

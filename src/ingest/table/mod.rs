@@ -59,7 +59,6 @@ const USUAL: Horizon = Horizon { n_history: 10, n_future: 30 };
 /// Maximum size of a table of tracks, and of all files that wait for theirs.
 const MAX_FILE_BYTES: u64 = 512 << 20;
 
-/// Tables with a mapping.
 pub(super) struct Tables<'a> {
     config: &'a IngestConfig,
     mapping: &'a TableMapping,
@@ -143,7 +142,6 @@ impl RecordingSource for Tables<'_> {
     }
 }
 
-/// The place in the name of a map.
 fn place_of_map(path: &str) -> Option<&str> {
     [".osm", ".xodr"].iter().any(|suffix| path.ends_with(suffix)).then(|| file_stem(path))
 }

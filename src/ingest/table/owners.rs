@@ -161,7 +161,6 @@ impl Owners {
         self.n_rows > 1 && gap_s > LOST_S.max(LOST_GAPS * max_gap_s.max(self.usual_s()))
     }
 
-    /// Ends the rows.
     pub(super) fn end(&mut self) {
         self.jumps_s.extend(self.suspect.take().map(|suspect| suspect.time_s));
         self.jumps_s.sort_by(f64::total_cmp);

@@ -56,7 +56,6 @@ pub(super) struct KeyedRows {
     pub(super) begun_s: f64,
     pub(super) first_s: f64,
     pub(super) last_s: f64,
-    /// The range of its rows in the table.
     pub(super) rows: Range<u64>,
     pub(super) n_bytes: u64,
     pub(super) is_sorted: bool,

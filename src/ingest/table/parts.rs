@@ -46,7 +46,6 @@ struct Long {
     entry: usize,
     container: PathBuf,
     file: String,
-    /// The footer of a table in Parquet.
     footer: Option<Arc<ParquetMetaData>>,
     /// Everything except its rows, as soon as its counterpart has arrived.
     unit: Option<RawUnit>,

@@ -123,10 +123,8 @@ mod tests {
         let frames: Vec<i64> = found.iter().map(|(frame, _)| *frame).collect();
         assert_eq!(frames, [1, 2, 3, 4, 5, 6, 7, 20, 21]);
         for (frame, state) in found.iter().filter(|(frame, _)| ![4, 5].contains(frame)) {
-            assert_eq!(
-                state.position,
-                wild(times[times.iter().position(|t| (t * 10.0).round() as i64 == *frame).unwrap()])
-            );
+            let seen = state.position;
+            assert_eq!(seen, wild(times[times.iter().position(|t| (t * 10.0).round() as i64 == *frame).unwrap()]));
         }
         assert_eq!(resampled(&rows(&times, wild), 0.0).len(), 7, "no gap is filled in");
         assert_eq!(resampled(&rows(&[0.14, 0.16], wild), 1.0), []);

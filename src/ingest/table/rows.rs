@@ -21,7 +21,6 @@ pub(super) struct Rows<'a> {
 pub(super) struct OfTracks {
     pub(super) file: String,
     pub(super) table: Table,
-    /// The row of each track.
     rows: BTreeMap<String, usize>,
 }
 
@@ -34,7 +33,6 @@ pub(super) struct Group {
 }
 
 impl<'a> Rows<'a> {
-    /// Reads the tables of a unit.
     pub(super) fn read(unit: &RawUnit, mapping: &'a TableMapping) -> Result<Self, Reject> {
         let wanted = wanted(&mapping.columns);
         let read = |file: &str, bytes: &[u8], lines: &[u64]| {

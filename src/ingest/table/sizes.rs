@@ -74,8 +74,7 @@ impl Rows<'_> {
         })
     }
 
-    /// The size of a track: the median of the lengths and that of the widths in its rows, or those of the table of
-    /// tracks.
+    /// The size of a track: the medians of the lengths and widths in its rows, or those of the table of tracks.
     pub(super) fn extent(
         &self,
         id: &str,
@@ -189,7 +188,6 @@ const fn max_usual_mps(class: AgentClass) -> f64 {
     }
 }
 
-/// The median, one of the values.
 fn median(mut values: Vec<f64>) -> Option<f64> {
     let middle = values.len() / 2;
     (middle < values.len()).then(|| *values.select_nth_unstable_by(middle, f64::total_cmp).1)

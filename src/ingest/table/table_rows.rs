@@ -18,12 +18,9 @@ const MAX_TEXT_BYTES: usize = 1024;
 /// Ids of nobody, as trackers and pandas write them.
 const NOBODY: [&str; 5] = ["", "-1", "nan", "NaN", "None"];
 
-/// The rows of a table.
 pub(super) struct TableRows<'r> {
     source: Source<'r>,
-    /// The names of all columns.
     pub(super) names: Vec<String>,
-    /// The columns that are read.
     pub(super) columns: Vec<(String, Kind)>,
     /// The numbers of the last row by column.
     numbers: Vec<f64>,
@@ -48,7 +45,6 @@ enum Source<'r> {
     Parquet { stream: Box<Stream<'r>>, cells: Vec<Vec<Cells>>, n_rows: usize, n_done: usize },
 }
 
-/// The cells of one column.
 enum Cells {
     Numbers(Vec<f64>),
     Texts(StringArray),

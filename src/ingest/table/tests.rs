@@ -108,10 +108,8 @@ fn sizes_and_classes_may_be_in_a_table_of_tracks() {
     meta("id,l,w,class\n8,1.8,0.6,Bike\n7,4.5,1.8,Car\n");
     let (scenes, _) = read(&config(folder.path(), mapping)).unwrap();
     let of = |track: &Track| (track.id.0.clone(), track.class, track.extent.unwrap().length_m);
-    assert_eq!(
-        scenes[0].tracks.iter().map(of).collect::<Vec<_>>(),
-        [("7".to_owned(), AgentClass::Vehicle, 4.5), ("8".to_owned(), AgentClass::Cyclist, 1.8)]
-    );
+    let found = scenes[0].tracks.iter().map(of).collect::<Vec<_>>();
+    assert_eq!(found, [("7".to_owned(), AgentClass::Vehicle, 4.5), ("8".to_owned(), AgentClass::Cyclist, 1.8)]);
     // Who is not in it is left out and named.
     meta("id,l,w,class\n7,4.5,1.8,Car\n");
     let (scenes, report) = read(&config(folder.path(), mapping)).unwrap();
@@ -164,10 +162,8 @@ fn positions_in_degrees_are_meters_from_an_origin() {
     for (lat, lon) in [(8.4, 49.0), (49.0, 11.4)] {
         let folder = file("a.csv", &text(lat, lon));
         let found = rejects(folder.path(), MAPPING);
-        assert!(
-            found.contains("out_of_range") && found.contains("is lon the longitude and lat the latitude"),
-            "{found}"
-        );
+        assert!(found.contains("out_of_range"), "{found}");
+        assert!(found.contains("is lon the longitude and lat the latitude"), "{found}");
     }
 }
 

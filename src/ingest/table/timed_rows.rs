@@ -57,9 +57,6 @@ pub(super) struct TimedRows<'r> {
 
 impl<'r> TimedRows<'r> {
     /// The rows of a table; `footer` is that of a table in Parquet.
-    ///
-    /// # Errors
-    /// The reason of a reject, and what is wrong.
     pub(super) fn of(
         table: &'r mut dyn BufRead,
         footer: Option<&Arc<ParquetMetaData>>,

@@ -12,8 +12,7 @@ use crate::ingest::windows::Recording;
 use crate::ingest::{RawUnit, Reject};
 use crate::scene::{Dataset, Extent, State, TrackId, velocity_at};
 
-/// Frames are numbered by the times of the recording unless these are further than this from 0, as times of day are,
-/// seconds.
+/// Frames are numbered by the times of the recording unless these are this far from 0, as times of day are, seconds.
 const MAX_START_S: f64 = 1e6;
 /// The longest recording, seconds; see [`windows`](crate::ingest::windows).
 pub(super) const MAX_RECORDING_S: f64 = 1e5;
@@ -97,7 +96,6 @@ impl Rows<'_> {
         Clock { start_s: first_s - first_frame_s, first_s: first_frame_s }
     }
 
-    /// The time of a row, seconds.
     pub(super) fn time_s(&self, row: u32) -> f64 {
         let TableColumns { time, frame, .. } = &self.mapping.columns;
         let times = self.table.number(time.as_deref().or(frame.as_deref()));
@@ -127,46 +125,7 @@ impl Rows<'_> {
         let mut states: Vec<TimedState> = rows.iter().map(|row| self.state(*row, extent, clock.start_s)).collect();
         let chords = Chords::of(class, extent, self.mapping.position);
         self.blank_headings((id, class, chords), rows, &mut states, left_out);
-        let gaps = Gaps::of(&states, self.mapping.max_gap_s, |time_s| self.is_own(time_s));
-        // At the ends of a part there may be few rows, on either side of a gap.
-        let is_enough = self.part.is_none() || states.len() > N_ROWS_OF_PART;
-        if is_enough && gaps.usual_s > MAX_USUAL_S.max(self.mapping.max_gap_s) {
-            let detail = format!(
-                "the rows of track {id} are {:.3} s apart, expected {MAX_USUAL_S} s at most; are \
-                 ingest.table.time_unit_s and frame_rate_hz right?",
-                gaps.usual_s
-            );
-            return Err(self.reject("implausible_times", rows[0], &detail));
-        }
-        left_out.note("gaps_filled", gaps.n_filled, &format!("{}: gaps within tracks are filled in", self.file));
-        let resampled = resampled(&states, self.mapping.max_gap_s);
-        let lasts_s = states.last().map_or(0.0, |last| last.time_s - states[0].time_s);
-        let is_open = (resampled.len() as f64) < MIN_FILLED_SHARE * lasts_s / DT_S;
-        if is_enough && is_open && gaps.usual_s > self.mapping.max_gap_s + 1e-4 {
-            let detail = format!(
-                "the rows of track {id} are {0:.3} s apart, and nothing between them is filled in: set \
-                 ingest.table.max_gap_s, {1}, to more than {0:.3}",
-                gaps.usual_s, self.mapping.max_gap_s
-            );
-            return Err(self.reject("implausible_times", rows[0], &detail));
-        }
-        // Radians are passed on as they are: they may be degrees.
-        let heading = |heading_rad: f64| match self.mapping.heading {
-            HeadingUnit::Radians => heading_rad,
-            HeadingUnit::Degrees | HeadingUnit::CompassDegrees => wrap_angle(heading_rad),
-        };
-        let observation = |(frame, state): &(i64, TimedState)| Observation {
-            frame: *frame,
-            position: state.position,
-            velocity: Vec2::ZERO,
-            heading_rad: state.heading_rad.map(heading),
-        };
-        let mut observations: Vec<Observation> = resampled.iter().map(observation).collect();
-        // Scenes derive velocities anew, those of the past from the past alone; these are for states without neighbors.
-        let velocities: Vec<Vec2> = (0..observations.len()).map(|index| velocity(&observations, index)).collect();
-        for (observation, velocity) in observations.iter_mut().zip(velocities) {
-            observation.velocity = velocity;
-        }
+        let observations = self.observed(id, rows, &states, left_out)?;
         if observations.is_empty() {
             return Ok(None);
         }
@@ -174,7 +133,8 @@ impl Rows<'_> {
         let is_unknown = |(_, source): &(f64, HeadingSource)| *source == HeadingSource::Unknown;
         // A course over ground is 0 where nothing moves.
         if chords.is_wheeled && self.are_zero(self.mapping.columns.heading.as_deref(), rows) {
-            observations.iter_mut().for_each(|seen| seen.heading_rad = None);
+            let blank = |seen: &Observation| Observation { heading_rad: None, ..*seen };
+            let observations: Vec<Observation> = observations.iter().map(blank).collect();
             if headings(&observations, class, chords).iter().all(is_unknown) {
                 found.iter_mut().for_each(|(_, source)| *source = HeadingSource::Unknown);
                 let detail =
@@ -207,6 +167,57 @@ impl Rows<'_> {
         let mut track = RecordedTrack::of_states(TrackId(name), class, extent, seen.parked_s.clone(), states);
         track.never_moves = never_moves.then_some(ahead_m);
         Ok(Some(track))
+    }
+
+    /// The states of an agent at the frames, with gaps filled as far as the mapping allows.
+    fn observed(
+        &self,
+        id: &str,
+        rows: &[u32],
+        states: &[TimedState],
+        left_out: &mut LeftOut,
+    ) -> Result<Vec<Observation>, Reject> {
+        let gaps = Gaps::of(states, self.mapping.max_gap_s, |time_s| self.is_own(time_s));
+        // At the ends of a part there may be few rows, on either side of a gap.
+        let is_enough = self.part.is_none() || states.len() > N_ROWS_OF_PART;
+        if is_enough && gaps.usual_s > MAX_USUAL_S.max(self.mapping.max_gap_s) {
+            let detail = format!(
+                "the rows of track {id} are {:.3} s apart, expected {MAX_USUAL_S} s at most; are \
+                 ingest.table.time_unit_s and frame_rate_hz right?",
+                gaps.usual_s
+            );
+            return Err(self.reject("implausible_times", rows[0], &detail));
+        }
+        left_out.note("gaps_filled", gaps.n_filled, &format!("{}: gaps within tracks are filled in", self.file));
+        let resampled = resampled(states, self.mapping.max_gap_s);
+        let lasts_s = states.last().map_or(0.0, |last| last.time_s - states[0].time_s);
+        let is_open = (resampled.len() as f64) < MIN_FILLED_SHARE * lasts_s / DT_S;
+        if is_enough && is_open && gaps.usual_s > self.mapping.max_gap_s + 1e-4 {
+            let detail = format!(
+                "the rows of track {id} are {0:.3} s apart, and nothing between them is filled in: set \
+                 ingest.table.max_gap_s, {1}, to more than {0:.3}",
+                gaps.usual_s, self.mapping.max_gap_s
+            );
+            return Err(self.reject("implausible_times", rows[0], &detail));
+        }
+        // Radians are passed on as they are: they may be degrees.
+        let heading = |heading_rad: f64| match self.mapping.heading {
+            HeadingUnit::Radians => heading_rad,
+            HeadingUnit::Degrees | HeadingUnit::CompassDegrees => wrap_angle(heading_rad),
+        };
+        let observation = |(frame, state): &(i64, TimedState)| Observation {
+            frame: *frame,
+            position: state.position,
+            velocity: Vec2::ZERO,
+            heading_rad: state.heading_rad.map(heading),
+        };
+        let mut observations: Vec<Observation> = resampled.iter().map(observation).collect();
+        // Scenes derive velocities anew, those of the past from the past alone; these are for states without neighbors.
+        let velocities: Vec<Vec2> = (0..observations.len()).map(|index| velocity(&observations, index)).collect();
+        for (observation, velocity) in observations.iter_mut().zip(velocities) {
+            observation.velocity = velocity;
+        }
+        Ok(observations)
     }
 
     /// Whether a column is 0 in all of these rows.

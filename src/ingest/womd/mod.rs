@@ -34,7 +34,6 @@ const DT_S: f64 = 0.1;
 const MAX_UNEVEN_S: f64 = 0.05;
 const USUAL_UNEVEN_S: f64 = 0.025;
 
-/// A record of a TFRecord with this scenario.
 pub(crate) fn record(scenario: &Scenario) -> Vec<u8> {
     framed(&scenario.encode_to_vec())
 }

@@ -1,5 +1,4 @@
-//! What is read of records, whole and damaged ones; `scripts/check_womd.py` compares whole files with the dataset's own
-//! reading.
+//! What is read of records, whole and damaged ones; `scripts/check_womd.py` compares whole files with the dataset's.
 
 use super::messages::{
     BoundarySegment, Crosswalk, DynamicMapState, FeatureData, LaneCenter, LaneNeighbor, MapFeature, MapPoint,
@@ -137,10 +136,8 @@ fn parsed(scenario: &Scenario, split: Split, config: &IngestConfig) -> Result<Ra
 fn tracks_have_states_sizes_and_roles() {
     let short = IngestConfig { n_history: Some(10), n_future: Some(30), ..config() };
     let scene = parsed(&scenario(), Split::Train, &short).expect("whole");
-    assert_eq!(
-        (scene.n_timesteps, scene.source.first_frame.as_str(), scene.id.0.as_str()),
-        (40, "1", "womd/train//abc")
-    );
+    let found = (scene.n_timesteps, scene.source.first_frame.as_str(), scene.id.0.as_str());
+    assert_eq!(found, (40, "1", "womd/train//abc"));
     let roles: Vec<TrackRole> = scene.tracks.iter().map(|track| track.role).collect();
     assert_eq!(roles, [TrackRole::Scored, TrackRole::Recorder, TrackRole::Scored]);
     let track = &scene.tracks[0];
@@ -178,10 +175,8 @@ fn lanes_have_sides_neighbors_and_controls() {
         ("traffic_light", "stop:0-39;go:40-90"),
     ];
     assert_eq!(tags, expected);
-    assert_eq!(
-        (attributes.kind.as_str(), attributes.is_intersection, lane(3).attributes.is_intersection),
-        ("surface_street", false, true)
-    );
+    let seen = (attributes.kind.as_str(), attributes.is_intersection, lane(3).attributes.is_intersection);
+    assert_eq!(seen, ("surface_street", false, true));
     assert!(attributes.has_traffic_control && lane(3).attributes.has_traffic_control);
     assert_eq!(lane(3).attributes.tags["stop_signs"], "8");
     assert!(!lane(3).attributes.tags.contains_key("crosswalk:9"));
@@ -255,11 +250,8 @@ fn what_cannot_be_read_is_named() {
     assert!((scene.tracks[0].extent.expect("the size before").length_m - 4.09).abs() < 1e-6);
     let lanes = scene.own_map.expect("lanes");
     let Lane { left_neighbor, attributes, .. } = lanes.get(LaneId(2)).expect("a lane");
-    assert_eq!(
-        (*left_neighbor, attributes.tags["left_neighbors"].as_str()),
-        (None, "4:0-1/1-2"),
-        "lane 4 is not there"
-    );
+    let seen = (*left_neighbor, attributes.tags["left_neighbors"].as_str());
+    assert_eq!(seen, (None, "4:0-1/1-2"), "lane 4 is not there");
     assert_eq!(attributes.tags[LaneAttributes::LIGHT], "stop:1-39;go:40-90");
     let mut short = scenario();
     short.timestamps_seconds.truncate(61);

@@ -112,7 +112,6 @@ fn length(head: [u8; HEAD_BYTES]) -> Option<u64> {
     length.first_chunk().filter(|_| is_right).map(|length| u64::from_le_bytes(*length))
 }
 
-/// A record with this content.
 pub(super) fn framed(content: &[u8]) -> Vec<u8> {
     let length = (content.len() as u64).to_le_bytes();
     [&length, &masked_crc(&length).to_le_bytes()[..], content, &masked_crc(content).to_le_bytes()].concat()

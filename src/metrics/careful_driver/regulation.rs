@@ -30,7 +30,6 @@ pub(super) const INTRUSION_M: f64 = 0.3;
 pub(super) const VISIBLE_S: f64 = 0.72;
 /// The deceleration in the bound on the time to collision at the intrusion, m/s².
 pub(super) const BOUND_DECELERATION_MPS2: f64 = 6.0;
-/// The delay in that bound, seconds.
 pub(super) const BOUND_DELAY_S: f64 = 0.35;
 
 /// Paragraph 5.2.5.2: the time to collision at the intrusion of a vehicle that is slower by this, m/s, beyond which a

@@ -6,7 +6,6 @@ use crate::scene::{Scene, Trajectory};
 
 /// The boxes and velocities of one agent, one entry a timestep.
 pub(super) struct MovingAgent {
-    /// Its index in the scene.
     pub(super) agent_idx: usize,
     pub(super) sweep: SweptBoxes,
     velocities: Vec<Option<Vec2>>,

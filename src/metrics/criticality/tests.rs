@@ -1,5 +1,4 @@
-//! Closed forms: head-on, following, crossing, side by side, standing, overlapping; and the quick search against all
-//! pairs.
+//! Closed forms: head-on, following, crossing, side by side, standing, overlapping; and the search against all pairs.
 
 use super::closing::MAX_DRAC_MPS2;
 use super::*;
@@ -24,10 +23,8 @@ fn pair(cars: [[f64; 4]; 2]) -> PairCriticality {
     let forth = PairCriticality::of(&scene(&cars), [0, 1]).expect("tracked together");
     let [first, second] = cars;
     let back = PairCriticality::of(&scene(&[second, first]), [0, 1]).expect("tracked together");
-    assert!(
-        near(forth.min_ttc_s, back.min_ttc_s) && near(forth.pet_s, back.pet_s),
-        "the order of the two does not matter"
-    );
+    assert!(near(forth.min_ttc_s, back.min_ttc_s), "the order of the two does not matter");
+    assert!(near(forth.pet_s, back.pet_s), "the order of the two does not matter");
     forth
 }
 

@@ -9,7 +9,6 @@ const N_RESAMPLES: usize = 200;
 /// An item with its score.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Scored {
-    /// The scene of the item.
     pub(super) scene: usize,
     /// Whether it was generated.
     pub(super) generated: bool,

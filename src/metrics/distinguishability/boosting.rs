@@ -4,7 +4,6 @@
 //! early stopping, categories and constraints: `scripts/golden_boosting.py` writes the values that tests compare with.
 //! Nothing is drawn at random and every sum has one order, so that the same rows give the same trees anywhere.
 
-/// Number of trees.
 const N_TREES: usize = 70;
 /// The factor of the values of leaves.
 const LEARNING_RATE: f64 = 0.12;
@@ -101,7 +100,6 @@ struct Split {
 
 /// The training rows in a node of a tree that grows.
 struct Growing {
-    /// The index of the node.
     at: usize,
     rows: Vec<u32>,
     sums: Sums,
@@ -233,7 +231,6 @@ fn most_gainful(open: &mut Vec<Splittable>) -> Option<Splittable> {
     Some(open.remove(at))
 }
 
-/// The children of a node.
 fn divided(node: &Growing, feature: &BinnedFeature, split: &Split, [left, right]: [usize; 2]) -> [Growing; 2] {
     let goes_left = |row: &u32| {
         let bin = usize::from(feature.bins[*row as usize]);

@@ -29,7 +29,6 @@ struct Segment {
 /// The motion of one track without gaps, timestep by timestep.
 pub(super) struct Motion {
     pub(super) dt_s: f64,
-    /// The index of the present.
     pub(super) present: usize,
     pub(super) positions: Vec<Vec2>,
     pub(super) headings_rad: Vec<f64>,

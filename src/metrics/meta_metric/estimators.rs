@@ -7,7 +7,6 @@ pub(super) struct Bins {
     pub(super) min: f64,
     /// The upper end of the last bin. Higher and undefined values count there.
     pub(super) max: f64,
-    /// Number of bins.
     pub(super) n_bins: usize,
     /// Added to the count of each.
     pub(super) pseudocount: f64,

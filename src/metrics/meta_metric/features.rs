@@ -6,7 +6,6 @@ use crate::geometry::{OrientedBox, wrap_angle};
 use crate::metrics::sample_group::future;
 use crate::scene::{Scene, State, Track};
 
-/// The number of series.
 pub(super) const N_SERIES: usize = 7;
 /// Longest time to collision, seconds.
 pub(super) const MAX_TTC_S: f64 = 5.0;

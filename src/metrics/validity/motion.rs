@@ -46,7 +46,6 @@ pub(super) fn violations(judged: &Judged<'_>, config: &ValidityConfig) -> Vec<Vi
     worst.into_iter().flatten().collect()
 }
 
-/// The checks of one fit, with value and limit.
 fn limits(fit: &LocalFit, state: &State, config: &ValidityConfig) -> [(Check, f64, f64); 6] {
     let speed_mps = fit.velocity.norm();
     let forward = match speed_mps >= MOVING_MPS {

@@ -71,7 +71,6 @@ impl Sequences {
         Self { rows, lengths }
     }
 
-    /// The groups.
     fn iter(&self) -> impl Iterator<Item = &[u32]> {
         let mut rest = self.rows.as_slice();
         self.lengths.iter().map(move |n| {

@@ -106,12 +106,10 @@ impl FusedCrossAttention {
         tasks
     }
 
-    /// Numbers of states of the tasks.
     fn n_states(tasks: &[Task<'_>]) -> Vec<usize> {
         tasks.iter().map(|task| task.states.len()).collect()
     }
 
-    /// Numbers of softmax weights of the tasks.
     fn n_weights(&self, tasks: &[Task<'_>]) -> Vec<usize> {
         tasks.iter().map(|task| self.n_heads * task.states.len() * self.maps[task.map].lanes.len()).collect()
     }

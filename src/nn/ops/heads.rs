@@ -15,7 +15,6 @@ pub(super) struct HeadColumns<'a> {
     pub(super) width: usize,
     /// The first column.
     pub(super) first: usize,
-    /// The number of columns.
     pub(super) n: usize,
 }
 

@@ -99,10 +99,8 @@ fn linear_agrees() {
                 let stored = |w: &Tensor| w.t()?.contiguous()?.t();
                 check(&|a| apply(a, &stored(&a[1])?), &arguments, &format!("{rows:?} {share:?}, transposed"));
                 let [plain, transposed] = [arguments[1].clone(), stored(&arguments[1]).unwrap()];
-                assert_eq!(
-                    values(&apply(&arguments, &plain).unwrap()),
-                    values(&apply(&arguments, &transposed).unwrap())
-                );
+                let found = values(&apply(&arguments, &plain).unwrap());
+                assert_eq!(found, values(&apply(&arguments, &transposed).unwrap()));
             }
         }
         let arguments = [normal(&[3, 4], 1), normal(&[2, 4], 2), normal(&[2], 3)];

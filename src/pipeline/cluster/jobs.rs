@@ -90,9 +90,8 @@ impl JobGraph {
         let Submission { config, .. } = submission;
         let directory = std::env::current_dir()?;
         // The text after a line break in a directive of a script would be a command.
-        if let Some(path) =
-            [&directory, submission.root].into_iter().find(|path| holds_control(&path.to_string_lossy()))
-        {
+        let holds_control = |path: &&&Path| path.to_string_lossy().contains(char::is_control);
+        if let Some(path) = [&directory, submission.root].iter().find(holds_control) {
             let message =
                 format!("{path:?} has a line break or another control character in its name, and jobs would run there");
             return Err(Failure::input_message(message).with_hint("submit from, and to, folders with other names"));
@@ -123,10 +122,6 @@ impl JobGraph {
             jobs: jobs.jobs,
         })
     }
-}
-
-fn holds_control(text: &str) -> bool {
-    text.contains(char::is_control)
 }
 
 /// Warns of settings that make poor use of the workers.
@@ -161,7 +156,6 @@ struct Jobs {
 }
 
 impl Jobs {
-    /// Adds the jobs of a stage in parts.
     fn add_parts(&mut self, stage: StageId, [plan, work, seal]: [&'static str; 3]) {
         let (after, number) = (self.after_last(), format!("{WORKER}/{}", self.n_workers));
         let planned = Dependency { job: plan, condition: Completion::Succeeded };

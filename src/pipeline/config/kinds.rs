@@ -31,7 +31,6 @@ impl<'a> Kinds<'a> {
         })
     }
 
-    /// Checks a value against one of the schemas.
     fn check(&self, schemas: &[&'a Schema], value: &DeValue<'_>, key: &str) -> Result<(), Issue> {
         let schemas: Vec<&Schema> = schemas.iter().flat_map(|schema| self.alternatives(schema)).collect();
         match value {

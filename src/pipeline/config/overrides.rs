@@ -129,10 +129,8 @@ mod tests {
         let table = applied("", "a.b.c=[1, 2]").unwrap();
         assert_eq!(table["a"]["b"]["c"].as_array().unwrap().len(), 2);
         let table = applied("[[a.list]]\nn = 1\n[[a.list]]\nn = 2\n", "a.list.1.n=5").unwrap();
-        assert_eq!(
-            (table["a"]["list"][0]["n"].as_integer(), table["a"]["list"][1]["n"].as_integer()),
-            (Some(1), Some(5))
-        );
+        let found = (table["a"]["list"][0]["n"].as_integer(), table["a"]["list"][1]["n"].as_integer());
+        assert_eq!(found, (Some(1), Some(5)));
         let table = applied("", "behaviors=[{ kind = \"cut_in\" }]").unwrap();
         assert_eq!(table["behaviors"][0]["kind"].as_str(), Some("cut_in"));
     }

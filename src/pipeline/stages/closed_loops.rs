@@ -20,7 +20,6 @@ use serde_json::{Value, json};
 
 /// Everything that loops of a stage depend on beside its section.
 pub struct ClosedLoops<'a> {
-    /// The seed of the run.
     pub(super) seed: u64,
     precision: Precision,
     /// The splits and places of the generation; none: what is held out, everywhere.
@@ -92,7 +91,6 @@ impl<'a> ClosedLoops<'a> {
         Ok(order.into_iter().map(|(position, _)| position).collect())
     }
 
-    /// The model.
     pub(super) fn model(&self, context: &StageContext<'_>) -> Result<TrainedDenoiser> {
         let folder = if self.distilled { &self.layout.distilled } else { &self.layout.denoiser };
         Ok(TrainedDenoiser::read(&checkpoint_file(folder), context.compute)?)

@@ -193,12 +193,10 @@ const FIGURES_FORMAT: &str = "figures.v2";
 /// Everything that measuring and merging shards needs, read and checked.
 struct EvaluationReady {
     store: SceneStore,
-    /// The shards.
     samples: SampleManifest,
     behaviors: Vec<Box<dyn Behavior>>,
     /// How well the maps of places fit their recordings.
     maps: MapFits,
-    /// The settings that metrics judge by.
     settings: MetricSettings,
 }
 
@@ -217,7 +215,6 @@ impl Evaluate<'_> {
         })
     }
 
-    /// The measurer of shards.
     fn measurer<'r>(&'r self, ready: &'r EvaluationReady) -> Result<Measurer<'r>> {
         let events = self.has_events.then_some(self.layout.events.as_path());
         Ok(Measurer::new(&ready.settings, self.config.modes, &ready.behaviors, &ready.store, events)?)
@@ -246,7 +243,6 @@ impl Evaluate<'_> {
         Ok(Shard { sweep: &shard.sweep, n_evaluations: shard.n_evaluations, records })
     }
 
-    /// The corpus's notes.
     fn notes(&self, summary: &EvaluationSummary) -> Result<CorpusNotes> {
         let mut notes = BTreeMap::from([
             ("pipeline".to_owned(), self.pipeline.to_owned()),

@@ -17,7 +17,6 @@ const HOLD_OUT_EVERY: usize = 10;
 /// Scenes by index, in the store's order.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub(super) struct TrainingScenes {
-    /// Scenes to train on.
     pub(super) train: Vec<usize>,
     /// Scenes to judge by, none of which shares a moment with one to train on.
     pub(super) held_out: Vec<usize>,
@@ -28,9 +27,6 @@ pub(super) struct TrainingScenes {
 impl TrainingScenes {
     /// Trains on the given splits (none: `train`, or everything unsplit if there is no such split) and places (none:
     /// all), and holds out the `val` scenes of these places; without any, a part of the scenes to train on.
-    ///
-    /// # Errors
-    /// When a scene cannot be loaded.
     pub(super) fn of(store: &SceneStore, own: OwnScenes<'_>, progress: &dyn Progress) -> Result<Self> {
         let index = store.index();
         let chosen = Self::new(index, own);

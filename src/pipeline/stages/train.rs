@@ -64,23 +64,14 @@ pub trait Recipe: Serialize {
     fn about(spec: &Self::Spec) -> Value;
 
     /// Trains the model on `own` scenes, or others, and returns the summary of the result.
-    ///
-    /// # Errors
-    /// When there is nothing to learn from, or training fails.
     fn train(&self, own: OwnScenes<'_>, layout: &Layout, job: TrainJob<'_>) -> Result<Value>;
 
     /// Whether a checkpoint of such a network belongs to this stage.
-    ///
-    /// # Errors
-    /// Describes the checkpoint, and where it can be used.
     fn check_kind(_spec: &Self::Spec) -> std::result::Result<(), &'static str> {
         Ok(())
     }
 
     /// Reads the checkpoint to start from.
-    ///
-    /// # Errors
-    /// When it is not a checkpoint of such a model.
     fn read_start(&self, device: &Device) -> Result<Option<Checkpoint<Self::Spec>>> {
         Ok(self
             .source(OwnScenes::default())

@@ -31,7 +31,6 @@ const BY_CHANCE: f64 = 0.125;
 pub(super) struct ValidLoops {
     /// By scene: the valid windows.
     n_valid: BTreeMap<String, u64>,
-    /// The windows of each loop.
     n_windows: u64,
     /// The length of each loop, seconds.
     horizon_s: f64,
@@ -125,7 +124,6 @@ impl ValidLoops {
         Ok(())
     }
 
-    /// The number of loops.
     pub(super) fn n_loops(&self) -> usize {
         self.n_valid.len()
     }

@@ -46,7 +46,6 @@ fn event(scene: &Scene, timesteps: [usize; 2], pet_s: f64) -> BehaviorEvent {
     BehaviorEvent::new(kind, scene, EventLabel::Positive, &[1, 0], start..=end).with("pet_s", pet_s)
 }
 
-/// The exposure of scenes, and the events that count.
 fn counted(scenes: Vec<(Scene, Vec<BehaviorEvent>)>) -> (Vec<ExposureRow>, Vec<BehaviorEvent>) {
     let (mut exposure, mut occurrences) = (ExposureTally::default(), OccurrenceTally::default());
     let mut found = Vec::new();

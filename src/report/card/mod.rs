@@ -74,10 +74,7 @@ impl CardKey {
     pub(super) fn rank_s(&self) -> f64 {
         /// More than any time to collision.
         const WITHOUT_S: f64 = 1e6;
-        match self.is_accepted() {
-            true => self.value(HARDNESS).unwrap_or(WITHOUT_S),
-            false => f64::INFINITY,
-        }
+        if self.is_accepted() { self.value(HARDNESS).unwrap_or(WITHOUT_S) } else { f64::INFINITY }
     }
 }
 

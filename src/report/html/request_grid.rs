@@ -105,11 +105,8 @@ mod tests {
         let states: Vec<usize> =
             ["n full", "n short", "n infeasible"].iter().map(|s| html.matches(s).count()).collect();
         assert_eq!(states, [2, 1, 1]);
-        assert!(
-            html.contains("−5 to 0")
-                && html.contains("1/5")
-                && html.contains(&format!("{} evaluations per accepted", optional(Some(20.0))))
-        );
+        assert!(html.contains("−5 to 0") && html.contains("1/5"));
+        assert!(html.contains(&format!("{} evaluations per accepted", optional(Some(20.0)))));
         assert!(grid(&[bucket(0, &["0..5"], (1, 1))]).is_none());
     }
 }

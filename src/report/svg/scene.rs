@@ -18,7 +18,6 @@ pub(in crate::report) const CONTEXT: &str = "#777777";
 /// Color of generated agents without a role.
 pub(in crate::report) const GENERATED_CONTEXT: &str = "#A05C8B";
 
-/// The color of a role, by the order of the roles.
 pub(in crate::report) fn role_color(role_idx: usize) -> &'static str {
     PALETTE[role_idx % PALETTE.len()]
 }

@@ -65,7 +65,6 @@ impl Ends {
         self.entries.get(entry_idx)
     }
 
-    /// The entry in which a vehicle is.
     pub(super) fn entry_at(&self, state: &State) -> Option<usize> {
         at(&self.entries, state).map(|(entry_idx, _)| entry_idx)
     }

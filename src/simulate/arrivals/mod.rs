@@ -92,7 +92,6 @@ impl Arrivals {
         (arrivals, tracks)
     }
 
-    /// The number of expected arrivals.
     pub(super) fn n_expected(&self) -> usize {
         self.expected.len()
     }

@@ -269,10 +269,8 @@ fn who_goes_on_to_where_traffic_is_not_seen_any_more_leaves() {
         situation.goes_out_of_sight(&world, 0, world.now() - 1)
     };
     // Agents that were there already may stay for good, and an event is not left.
-    assert_eq!(
-        [&[162.0, 162.9], &[162.0, 163.1], &[163.1, 164.0]].map(|xs| goes(&situation, xs)),
-        [false, true, false]
-    );
+    let found = [&[162.0, 162.9], &[162.0, 163.1], &[163.1, 164.0]].map(|xs| goes(&situation, xs));
+    assert_eq!(found, [false, true, false]);
     situation.roles = vec![0];
     assert!(!goes(&situation, &[162.0, 163.1]));
     // The scenario and its event last for 30 timesteps.

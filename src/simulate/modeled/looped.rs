@@ -16,10 +16,8 @@ const TO_COMPLETE_S: f64 = 3.0;
 /// What a failure of a driver is counted as.
 pub const FAILURE: &str = "failure";
 
-/// The start of a loop.
 pub(super) struct Start {
     pub(super) situation: Situation,
-    /// The recording of its scene.
     pub(super) recording: String,
     /// Timesteps from one recorded scene to the next.
     pub(super) n_every: usize,
@@ -30,7 +28,6 @@ pub(super) struct Common<'a> {
     pub(super) config: &'a RatesConfig,
     pub(super) futures: &'a Futures<'a>,
     pub(super) behaviors: &'a [Box<dyn Behavior>],
-    /// The severities of its levels.
     pub(super) severities: Vec<f64>,
 }
 

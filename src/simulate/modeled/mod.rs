@@ -141,9 +141,6 @@ impl Modeling<'_> {
 
     /// Lets these drivers, which are alike, drive the ego of loops, and the model everybody else. Of drivers other than
     /// the model, their own ways and time are counted, and each failure as an event [`FAILURE`].
-    ///
-    /// # Errors
-    /// Those of [`run`](Self::run); failures of the driver are counted.
     pub(crate) fn drive(
         &self,
         positions: &[usize],

@@ -183,10 +183,6 @@ fn details_field() -> Field {
     .optional()
 }
 
-/// The columns of one assessment, each with one value.
-///
-/// # Errors
-/// [`Error::Invalid`](crate::store::Error::Invalid) when a timestep is too large.
 pub(crate) fn columns_of(assessment: &Assessment) -> Result<Vec<(Field, ArrayRef)>> {
     Ok(fields().into_iter().zip(encode(&[("assessment", Some(assessment))])?).collect())
 }

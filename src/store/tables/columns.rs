@@ -172,9 +172,6 @@ pub(crate) fn number_lists<T: ArrowPrimitiveType, L: IntoIterator<Item = T::Nati
 }
 
 /// A column of structs with the members of `data_type`.
-///
-/// # Errors
-/// [`Error::Invalid`] when the arrays do not fit the members, which is a bug.
 pub(crate) fn structs(table: &str, data_type: &DataType, arrays: Vec<ArrayRef>) -> Result<ArrayRef> {
     let members = match data_type {
         DataType::Struct(members) => members.clone(),
@@ -190,9 +187,6 @@ pub(crate) fn structs(table: &str, data_type: &DataType, arrays: Vec<ArrayRef>) 
 }
 
 /// A number as an unsigned 32-bit one.
-///
-/// # Errors
-/// [`Error::Invalid`] when it is too large.
 pub(crate) fn small(id: &str, what: &str, number: usize) -> Result<u32> {
     u32::try_from(number).map_err(|_| Error::invalid(id, format!("{what} {number} is too large")))
 }

@@ -29,9 +29,6 @@ fn field(name: &str) -> Field {
 }
 
 /// The parameters that occur in these rows.
-///
-/// # Errors
-/// [`Error::Invalid`] when a parameter has the name of another column of the table.
 pub(crate) fn occurring<'p>(table: &TableSchema, rows: &[Option<&'p Parameters>]) -> Result<BTreeSet<&'p str>> {
     let mut names = BTreeSet::new();
     for name in rows.iter().flatten().flat_map(|row| row.keys()) {
@@ -45,9 +42,6 @@ pub(crate) fn occurring<'p>(table: &TableSchema, rows: &[Option<&'p Parameters>]
 }
 
 /// Refuses parameters that cannot be columns.
-///
-/// # Errors
-/// [`Error::Invalid`] when a parameter has the name of another column of the table.
 pub(crate) fn check_names(table: &TableSchema, names: &BTreeSet<&str>) -> Result<()> {
     match names.iter().find(|name| table.has(name) || name.ends_with("_track_id")) {
         Some(taken) => {

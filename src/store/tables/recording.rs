@@ -26,7 +26,6 @@ pub(crate) fn schema() -> TableSchema {
     }
 }
 
-/// The rows of this scene.
 pub(crate) fn encode(scene: &Scene) -> Result<RecordBatch> {
     let rows: Vec<StateRow<'_>> = rows_of(scene).collect();
     let mut arrays = vec![texts(rows.iter().map(|row| row.scene.id.0.as_str()))];

@@ -54,7 +54,6 @@ pub(crate) fn encode(records: &[&ScenarioRecord]) -> Result<Vec<ArrayRef>> {
     ])
 }
 
-/// The shard in a row, and its request.
 pub(crate) fn decode(columns: &Columns<'_>, row: usize) -> Result<(usize, Option<RequestTag>)> {
     let shard = columns.optional_number::<UInt32Type>("shard", row)?.unwrap_or_default() as usize;
     let Some(request) = columns.optional_text("request", row)? else { return Ok((shard, None)) };

@@ -17,7 +17,6 @@ pub(crate) fn field(name: &str, description: &str) -> Field {
     column(name, list_of_structs(members), description)
 }
 
-/// The array of a roles column.
 pub(crate) fn encode(rows: &[&Roles]) -> Result<ArrayRef> {
     let all = || rows.iter().flat_map(|roles| roles.iter());
     let arrays = vec![texts(all().map(|(role, _)| role.as_str())), texts(all().map(|(_, track)| track.0.as_str()))];

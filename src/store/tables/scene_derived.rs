@@ -10,7 +10,6 @@ use arrow::datatypes::{DataType, Field, Float32Type};
 
 const NAME: &str = "derived";
 
-/// The column.
 pub(crate) fn field() -> Field {
     let recorded = |name: &str, unit: &str, description: &str| {
         column(name, list_of(DataType::Float32), description).unit(unit).frame(SCENE_FRAME)

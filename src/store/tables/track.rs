@@ -40,7 +40,6 @@ fn event_role<'r>(record: &'r ScenarioRecord, row: &StateRow<'r>) -> Option<&'r 
     roles.role_of(&row.track().id)
 }
 
-/// The rows of this record.
 pub(crate) fn encode(record: &ScenarioRecord) -> Result<RecordBatch> {
     let scenario = &record.scenario;
     let rows: Vec<StateRow<'_>> = rows_of(&scenario.scene).collect();

@@ -16,7 +16,6 @@ use std::io::Write;
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 
-/// A reader.
 pub(super) struct Target {
     pub(super) name: &'static str,
     /// Files as they should be. They may be made in the folder, which belongs to the target.
@@ -77,10 +76,7 @@ pub(super) const TARGETS: &[Target] = &[
     Target {
         name: "argoverse1_tracks",
         seeds: |_| vec![fixture(&format!("{ARGOVERSE1}/train/data/1.csv"))],
-        read: |folder, bytes| {
-            write(folder, "train/data/1.csv", bytes);
-            ingested(Dataset::Argoverse1, folder, MapsConfig::None)
-        },
+        read: |folder, bytes| ingested((folder, "train/data/1.csv"), bytes, Dataset::Argoverse1, MapsConfig::None),
     },
     Target {
         name: "argoverse1_map",
@@ -88,17 +84,14 @@ pub(super) const TARGETS: &[Target] = &[
             write(folder, "train/data/1.csv", &fixture(&format!("{ARGOVERSE1}/train/data/1.csv")));
             vec![fixture(&format!("{ARGOVERSE1}/map_files/{ARGOVERSE1_MAP}"))]
         },
-        read: |folder, bytes| {
-            write(folder, ARGOVERSE1_MAP, bytes);
-            ingested(Dataset::Argoverse1, folder, MapsConfig::default())
-        },
+        read: |folder, bytes| ingested((folder, ARGOVERSE1_MAP), bytes, Dataset::Argoverse1, MapsConfig::default()),
     },
     Target {
         name: "argoverse2_tracks",
         seeds: |_| vec![fixture(&argoverse2("scenario_", "parquet"))],
         read: |folder, bytes| {
-            write(folder, &format!("{LOG}/scenario_{LOG}.parquet"), bytes);
-            ingested(Dataset::Argoverse2, folder, MapsConfig::None)
+            let name = format!("{LOG}/scenario_{LOG}.parquet");
+            ingested((folder, &name), bytes, Dataset::Argoverse2, MapsConfig::None)
         },
     },
     Target {
@@ -108,17 +101,14 @@ pub(super) const TARGETS: &[Target] = &[
             vec![fixture(&argoverse2("log_map_archive_", "json"))]
         },
         read: |folder, bytes| {
-            write(folder, &format!("{LOG}/log_map_archive_{LOG}.json"), bytes);
-            ingested(Dataset::Argoverse2, folder, MapsConfig::default())
+            let name = format!("{LOG}/log_map_archive_{LOG}.json");
+            ingested((folder, &name), bytes, Dataset::Argoverse2, MapsConfig::default())
         },
     },
     Target {
         name: "tfrecord",
         seeds: |_| vec![fixture(WOMD)],
-        read: |folder, bytes| {
-            write(folder, "testing.tfrecord", bytes);
-            ingested(Dataset::Womd, folder, MapsConfig::None)
-        },
+        read: |folder, bytes| ingested((folder, "testing.tfrecord"), bytes, Dataset::Womd, MapsConfig::None),
     },
     Target {
         name: "womd_scenario",
@@ -128,8 +118,7 @@ pub(super) const TARGETS: &[Target] = &[
             vec![file[12..file.len() - 4].to_vec()]
         },
         read: |folder, bytes| {
-            write(folder, "testing.tfrecord", &record(bytes));
-            ingested(Dataset::Womd, folder, MapsConfig::default())
+            ingested((folder, "testing.tfrecord"), &record(bytes), Dataset::Womd, MapsConfig::default())
         },
     },
     Target {
@@ -215,15 +204,15 @@ fn write(folder: &Path, name: &str, bytes: &[u8]) -> PathBuf {
     path
 }
 
-/// A TFRecord with this content.
 fn record(content: &[u8]) -> Vec<u8> {
     let checksum = |bytes: &[u8]| crc32c::crc32c(bytes).rotate_right(15).wrapping_add(0xa282_ead8).to_le_bytes();
     let length = (content.len() as u64).to_le_bytes();
     [&length, &checksum(&length)[..], content, &checksum(content)].concat()
 }
 
-/// Whether the folder's recordings give a scene.
-fn ingested(dataset: Dataset, folder: &Path, maps: MapsConfig) -> bool {
+/// Whether the folder's recordings give a scene, with these bytes in the file of this name.
+fn ingested((folder, name): (&Path, &str), bytes: &[u8], dataset: Dataset, maps: MapsConfig) -> bool {
+    write(folder, name, bytes);
     is_ingested(&IngestConfig { maps, ..IngestConfig::new(dataset, vec![folder.to_owned()]) })
 }
 

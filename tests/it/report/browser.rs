@@ -39,10 +39,8 @@ fn scenes_play_and_filters_filter_without_an_error() {
     // At the end the other car is in the ego's lane where it was generated to be, and in its own in the recording.
     assert_eq!(page.value(&drawn(0, 0, "v17", "transform")), json!("translate(37.5 -3.5) rotate(0)"));
     assert_eq!(page.value(&drawn(0, 1, "v17", "transform")), json!("translate(37.5 0) rotate(0)"));
-    assert_eq!(
-        page.value("document.querySelector('#scene-0 .player output').textContent"),
-        json!("3.0 s, step 40 of 40")
-    );
+    let result = page.value("document.querySelector('#scene-0 .player output').textContent");
+    assert_eq!(result, json!("3.0 s, step 40 of 40"));
 
     // Speed and distance over time are under the drawings, with a mark at the step that is shown.
     assert_eq!(

@@ -166,11 +166,8 @@ fn lanes_that_open_late_are_lanes_from_there() {
     let beyond = piece(2, 100.0, 60.0, "", "").replace("y='0'", "y='-3'");
     let (graph, report) = read(&(of_road(&(closed.to_owned() + opens)) + &beyond));
     let opening = by_lane(&graph, "1", "-2")[0];
-    assert!(
-        opening.left_neighbor.is_some() && opening.centerline.0[0].x >= 70.0 - 1e-9,
-        "{:?}",
-        opening.centerline.0[0]
-    );
+    assert!(opening.left_neighbor.is_some(), "{:?}", opening.centerline.0[0]);
+    assert!(opening.centerline.0[0].x >= 70.0 - 1e-9, "{:?}", opening.centerline.0[0]);
     assert_eq!(stretches(&graph)[1], ([70.0, 100.0], vec![[100.0, 160.0]]));
     assert_eq!(kinds(&report), []);
     assert_eq!(kinds(&read(&of_road(closed)).1), [("lanes_without_width", 1), ("links_to_nowhere", 1)]);

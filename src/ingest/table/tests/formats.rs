@@ -96,10 +96,8 @@ fn people_may_be_in_columns_of_their_own() {
         assert_eq!(tracks, [("car0", AgentClass::Vehicle), ("ped0", AgentClass::Pedestrian)]);
         for (i, state) in scenes[0].tracks[1].trajectory.valid() {
             let state = state.transformed(&scenes[0].world_from_scene);
-            assert!(
-                (state.position.x - 5.0).abs() < 1e-6 && (state.velocity.norm() - 1.0).abs() < 1e-6,
-                "{i} {state:?}"
-            );
+            assert!((state.position.x - 5.0).abs() < 1e-6, "{i} {state:?}");
+            assert!((state.velocity.norm() - 1.0).abs() < 1e-6, "{i} {state:?}");
             assert!((state.heading_rad - std::f64::consts::FRAC_PI_2).abs() < 1e-9, "{i} {state:?}");
         }
     }

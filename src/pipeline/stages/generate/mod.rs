@@ -155,9 +155,6 @@ impl Generate<'_> {
     }
 
     /// The pairs of each request, with the buckets that they can still reach; `None` before scenes and models exist.
-    ///
-    /// # Errors
-    /// When no pair can fulfill a request, or scenes and models cannot be read.
     pub(in crate::pipeline) fn pools(&self, compute: &Compute) -> Result<Option<Vec<Pool>>> {
         if self.resolve()?.requests.is_empty() || self.inputs().iter().any(|input| !input.path.exists()) {
             return Ok(None);

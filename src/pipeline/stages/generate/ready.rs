@@ -64,7 +64,6 @@ impl Generate<'_> {
 }
 
 impl Ready<'_> {
-    /// The plan of the sweeps.
     pub(super) fn plan(&self, progress: &dyn Progress) -> Result<Plan> {
         progress.start("plan", 0, "sweeps");
         let plan = self.generator.plan_first(self.resolved.n_sweeps, self.store.index())?;

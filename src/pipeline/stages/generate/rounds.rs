@@ -52,11 +52,9 @@ trait RoundShards {
 
 /// The rounds of requests; rounds without a file are decided.
 struct Rounds<'a> {
-    /// The resolved configuration.
     resolved: &'a ResolvedGeneration,
     /// The folder of the decided rounds.
     dir: &'a Path,
-    /// Receives the progress.
     progress: &'a dyn Progress,
 }
 

@@ -3,8 +3,8 @@
 use crate::engine::{Classify, Failure, Result};
 use crate::files::{files_below, link_or_copy};
 use crate::generate::{
-    GenerateConfig, Plan, Pool, RejectedSample, RequestSummary, Round, RoundShard, ShardOutput, ShardPlan, ShardTally,
-    Shortfall,
+    GenerateConfig, Plan, Pool, RejectedSample, Rejection, RequestSummary, Round, RoundShard, ShardOutput, ShardPlan,
+    ShardTally, Shortfall,
 };
 use crate::metrics::MetricSettings;
 use crate::pipeline::stages::MineConfig;
@@ -105,7 +105,6 @@ pub(super) struct SampleFolder {
 }
 
 impl SampleFolder {
-    /// Creates the folder.
     pub(super) fn create(dir: &Path) -> Result<Self> {
         fs_err::create_dir_all(dir)?;
         Ok(Self { dir: dir.to_owned() })
@@ -125,7 +124,6 @@ impl SampleFolder {
         Ok(())
     }
 
-    /// Writes the figures of requests.
     pub(super) fn write_requests(&self, requests: &[RequestSummary]) -> Result<()> {
         write_json_atomically(&self.dir.join(REQUESTS_FILE), &requests)?;
         Ok(())
@@ -166,10 +164,11 @@ impl SampleFolder {
         shards: Vec<SampleSidecar>,
         sampled_with: SampledWith,
     ) -> Result<SampleManifest> {
+        let rejected = shards.iter().flat_map(|shard| &shard.rejected);
         let manifest = SampleManifest {
             n_scenarios: shards.iter().map(|shard| shard.n_scenarios).sum(),
             n_verified: shards.iter().map(|shard| shard.n_verified).sum(),
-            n_rejected: shards.iter().flat_map(|shard| &shard.rejected).filter(|it| !it.repeats()).count() as u64,
+            n_rejected: rejected.filter(|it| it.reason != Rejection::RepeatedTemplate).count() as u64,
             shards,
             sampled_with,
         };
@@ -212,9 +211,6 @@ pub(super) fn write_round(dir: &Path, request: usize, round: &Round) -> Result<(
 
 impl SampleManifest {
     /// Reads the manifest of a finished folder.
-    ///
-    /// # Errors
-    /// When the folder is not finished.
     pub fn read(dir: &Path) -> Result<Self> {
         let path = dir.join(MANIFEST_FILE);
         if dir.is_dir() && !path.exists() {
@@ -248,9 +244,6 @@ pub struct SampleSettings {
 
 impl SampleSettings {
     /// Reads the settings of a folder.
-    ///
-    /// # Errors
-    /// When there are none, or they are of another version.
     pub fn read(dir: &Path) -> Result<Self> {
         let path = dir.join(SETTINGS_FILE);
         let text = fs_err::read_to_string(&path).blame_fault()?;
@@ -289,13 +282,10 @@ pub(in crate::pipeline) enum FoundShard {
     OfSweep(ShardPlan),
     /// From a round of a request.
     OfRequest {
-        /// Index of the request.
         request: usize,
-        /// Number of the round.
         round: usize,
         /// The request's cells.
         pool: Pool,
-        /// The shard.
         shard: RoundShard,
     },
 }

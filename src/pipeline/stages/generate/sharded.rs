@@ -17,7 +17,6 @@ use serde_json::{Value, json};
 /// The decisions made before any shard is sampled.
 #[derive(Serialize, Deserialize)]
 pub(super) struct GenerationPlan {
-    /// The shards of the sweeps.
     pub(super) sweeps: Plan,
     /// The cells of each request.
     pub(super) pools: Vec<Pool>,
@@ -124,7 +123,6 @@ fn make_sweeps(
     Ok(())
 }
 
-/// Gathers the shards of the sweeps.
 fn gather_sweeps(plan: &Plan, shards: &mut Gathering<'_>) -> Result<Vec<SampleSidecar>> {
     let mut found = Vec::new();
     for shard in &plan.shards {

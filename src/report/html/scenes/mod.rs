@@ -39,7 +39,6 @@ pub(super) fn section(model: &ReportModel) -> Option<Section> {
     })
 }
 
-/// The scenes, with the data of the player.
 pub(super) fn player(scenes: &[SceneCard]) -> Markup {
     let lanes = Lanes::of(scenes);
     html! {

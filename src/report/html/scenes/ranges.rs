@@ -8,7 +8,6 @@ use maud::{Markup, html};
 
 /// A figure that scenes differ in.
 pub(super) struct Range<'a> {
-    /// Its name in the tables.
     pub(super) name: &'a str,
     low: f64,
     high: f64,
