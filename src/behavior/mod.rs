@@ -58,6 +58,7 @@ pub use hard_brake::HardBrake;
 pub use lane_change::LaneChange;
 pub use left_turn::LeftTurn;
 pub use maneuver::Maneuver;
+pub(crate) use maneuver::RELEASE_JERK_MPS3;
 pub use near_miss::NearMiss;
 pub use outcome::Outcome;
 pub use pedestrian_steps_out::PedestrianStepsOut;

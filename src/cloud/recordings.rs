@@ -18,6 +18,9 @@ pub struct Recordings {
 
 impl Recordings {
     /// The recordings at a URL; `None` for a path on disk. Nothing is downloaded.
+    ///
+    /// # Errors
+    /// [`Error::Missing`]; errors of the store.
     pub fn at(path: &Path) -> Result<Option<Self>> {
         ObjectUrl::of(path)?.map(|url| Self::in_bucket(Bucket::open(url)?)).transpose()
     }

@@ -39,6 +39,9 @@ pub struct ObjectUrl {
 
 impl ObjectUrl {
     /// The URL in a path; `None` for a path on disk.
+    ///
+    /// # Errors
+    /// When it begins like a URL and is not a valid one.
     pub fn of(path: &Path) -> Result<Option<Self>, Unreadable> {
         if !Self::is_meant(path) {
             return Ok(None);

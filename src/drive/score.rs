@@ -29,6 +29,9 @@ const RECORDED: &str = "recorded";
 /// Scores the trajectories in `planned` for scenarios of the corpus in `corpus`, and writes the table of drives and the
 /// report into the folder `out`, which must be new or empty. Beside each it scores the careful driver, who answers to
 /// the others as they are, an ego at constant velocity, the ego of the scenario, and the recording.
+///
+/// # Errors
+/// [`Error::Config`] when the file has other scenarios than the corpus; errors of the corpus, the file and the folder.
 pub fn score(
     (corpus, planned, out): (&Path, &Path, &Path),
     selection: &Selection,

@@ -151,6 +151,9 @@ impl RunFolder {
     }
 
     /// Creates the folder, takes its lock, and finishes what a killed process was about to finish.
+    ///
+    /// # Errors
+    /// When another process has the lock, or files of the folder that would be written are foreign.
     pub fn open(root: &Path, kinds: &'static [StageKind]) -> Result<Self> {
         ownership::check_root(root, kinds)?;
         fs_err::create_dir_all(root)?;

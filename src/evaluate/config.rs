@@ -73,6 +73,9 @@ impl EvaluateConfig {
     }
 
     /// Rejects settings that cannot work.
+    ///
+    /// # Errors
+    /// [`Error::Config`] with the key, its value and what was expected.
     pub fn validate(&self) -> Result<()> {
         settings::check_ranges(self).map_err(|issue| Error::Config {
             message: issue.within("evaluate").to_string(),

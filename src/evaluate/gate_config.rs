@@ -35,6 +35,9 @@ pub struct GatesConfig {
 
 impl GatesConfig {
     /// Refuses gates that the generated samples cannot decide.
+    ///
+    /// # Errors
+    /// [`Error::Config`] with the gate and the sweep.
     pub fn check_generated(&self, generated: &ResolvedGeneration) -> Result<()> {
         let sweeps = &generated.sweeps;
         if self.min_filled.is_some() && generated.requests.is_empty() {

@@ -71,6 +71,9 @@ pub(super) struct MeasuredCell {
 
 impl MeasuredShard {
     /// The shard with its figures. Cells are assembled in parallel.
+    ///
+    /// # Errors
+    /// When the figures are of another shard, or a scene is missing or damaged.
     pub fn new(shard: Shard<'_>, figures: ShardFigures, store: &SceneStore) -> Result<Self> {
         let Shard { n_evaluations, records, .. } = shard;
         let cells = into_cells(&records);
@@ -128,6 +131,9 @@ impl<'a> Measurer<'a> {
     }
 
     /// Measures the cells of a shard in parallel. Recorded events that it reads are kept for the next shard.
+    ///
+    /// # Errors
+    /// When a scene is missing or damaged, or the events are.
     pub fn measure(&mut self, shard: &Shard<'_>) -> Result<ShardFigures> {
         let asked = shard.records.iter().filter_map(|record| record.requested_behavior.as_deref());
         self.judge.learn_events(asked)?;

@@ -24,6 +24,11 @@ pub const EXPORT_FILE: &str = "export.json";
 /// Exports the scenarios of the corpus in `corpus` that pass `selection`, in the corpus's order, into the folder `out`,
 /// which must be new or empty and appears when it is complete. `ego` chooses the ego's track, `motion` who moves it;
 /// `None` is the format's default. Scenarios are read and written one by one. The same corpus gives the same bytes.
+///
+/// # Errors
+/// [`Error::Files`] when `out` is not empty or overlaps the corpus; [`Error::Store`] when the corpus cannot be read or
+/// lacks a scenario that is selected by its id; [`Error::NothingSelected`] and [`Error::NothingWritten`] when the
+/// export would be empty; [`Error::EgoIsReplayed`]; errors of the file system.
 pub fn export_corpus(
     corpus: &Path,
     format: ExportFormat,

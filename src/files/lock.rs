@@ -29,6 +29,9 @@ pub struct Lock {
 
 impl Lock {
     /// Takes the lock on the folder `dir`, which must exist. The lock file stays in it, empty.
+    ///
+    /// # Errors
+    /// [`Error::Busy`] when another process has it; [`Error::Foreign`] when the lock file is not ours.
     pub fn in_folder(dir: &Path) -> Result<Self> {
         let path = dir.join(LOCK_FILE);
         let (file, is_enforced) = acquire(&path, dir)?;
@@ -42,6 +45,9 @@ impl Lock {
     }
 
     /// Takes the lock on `path`, which need not exist, by a file beside it that is removed with the lock.
+    ///
+    /// # Errors
+    /// [`Error::Busy`] when another process has it; [`Error::Foreign`] when the lock file is not ours.
     pub fn beside(path: &Path) -> Result<Self> {
         let mut name = OsString::from(".");
         name.push(path.file_name().ok_or_else(|| Error::Unnamed { path: path.to_owned() })?);

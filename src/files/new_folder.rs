@@ -23,6 +23,10 @@ pub struct NewFolder {
 impl NewFolder {
     /// Begins to write `out`, which must not exist or be empty. `inputs` are the paths of the inputs, each with its
     /// description. The remains of killed attempts are removed.
+    ///
+    /// # Errors
+    /// [`Error::Overlap`], [`Error::Exists`], [`Error::IsFile`], [`Error::Link`], [`Error::Busy`]; errors of the file
+    /// system.
     pub fn begin<'a>(out: &Path, inputs: impl IntoIterator<Item = (&'a str, &'a Path)>) -> Result<Self> {
         check_overlap(out, inputs)?;
         if out.file_name().is_none() {
@@ -49,6 +53,9 @@ impl NewFolder {
     }
 
     /// Gives the folder its name.
+    ///
+    /// # Errors
+    /// [`Error::Exists`] when another program put something there meanwhile; errors of the file system.
     pub fn commit(mut self) -> Result<()> {
         check_free(&self.out)?;
         if self.out.exists() {
@@ -72,6 +79,9 @@ impl Drop for NewFolder {
 }
 
 /// Refuses a place that is not free for a new folder: an empty folder is.
+///
+/// # Errors
+/// [`Error::Exists`], [`Error::IsFile`], [`Error::Link`]; errors of the file system.
 pub fn check_free(out: &Path) -> Result<()> {
     if is_link(out) {
         return Err(Error::Link { path: out.to_owned() });

@@ -9,6 +9,9 @@ use std::path::{Component, Path, PathBuf};
 const MAX_LINKS: usize = 40;
 
 /// Refuses an output that is an input, lies inside one, or contains one. Neither needs to exist yet.
+///
+/// # Errors
+/// [`Error::Overlap`] for the first input that overlaps; errors of the file system.
 pub fn check_overlap<'a>(output: &Path, inputs: impl IntoIterator<Item = (&'a str, &'a Path)>) -> Result<()> {
     let resolved = resolve(output)?;
     for (name, input) in inputs {

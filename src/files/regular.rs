@@ -6,6 +6,9 @@ use std::io;
 use std::path::Path;
 
 /// The metadata of a file or folder. Anything else, such as a pipe or a device, may block, have no end, or change.
+///
+/// # Errors
+/// On I/O errors, or if it is neither a file nor a folder.
 pub fn regular(path: &Path) -> io::Result<Metadata> {
     let metadata = fs::metadata(path)?;
     if metadata.is_file() || metadata.is_dir() {

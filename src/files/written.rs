@@ -28,6 +28,9 @@ pub fn keep_list(dir: &Path) -> Result<()> {
 }
 
 /// The files that the list of `dir` names, whether or not they exist; `None` if the folder keeps no list.
+///
+/// # Errors
+/// [`Error::Damaged`] when it holds entries that this module did not write; errors of the file system.
 pub fn listed(dir: &Path) -> Result<Option<BTreeSet<PathBuf>>> {
     let path = dir.join(LIST_FILE);
     if is_link(&path) || !path.is_file() {
@@ -143,6 +146,9 @@ pub fn remove_listed(dir: &Path, ours: &BTreeSet<PathBuf>) -> Result<Vec<PathBuf
 
 /// Removes the files in the folder `dir` that the list in it or above it names, so that a writer can begin anew;
 /// creates the folder if it is missing.
+///
+/// # Errors
+/// [`Error::Foreign`] when it holds anything else, [`Error::Link`] when it is a link; errors of the file system.
 pub fn clear(dir: &Path) -> Result<()> {
     check_no_link(dir)?;
     let mut ours = BTreeSet::new();
@@ -164,6 +170,9 @@ pub fn clear(dir: &Path) -> Result<()> {
 
 /// Removes the partial files of files that the list of `dir` names, and from the list a line that a kill cut off. No
 /// process may be writing there: the files are leftovers then.
+///
+/// # Errors
+/// As [`listed`]; [`Error::Link`] when `dir` is a link.
 pub fn remove_leftovers(dir: &Path) -> Result<()> {
     check_no_link(dir)?;
     let Some(ours) = listed(dir)? else { return Ok(()) };

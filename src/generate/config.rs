@@ -68,6 +68,9 @@ impl Default for GenerateConfig {
 impl GenerateConfig {
     /// Checks and resolves the section for these mined behaviors: fills in what sweeps leave out, and turns requests
     /// into sweeps.
+    ///
+    /// # Errors
+    /// [`Error::Setting`] names the key that cannot work, its value and what is allowed.
     pub fn resolve(&self, behaviors: &[Box<dyn Behavior>]) -> Result<ResolvedGeneration, Error> {
         let within = |section: String| move |issue: Issue| Error::Setting(issue.within(&section));
         let own = || within("generate".to_owned());

@@ -39,6 +39,9 @@ pub struct Continued<'a> {
 
 impl<'a> Futures<'a> {
     /// Futures by `model`: a distilled one takes its own steps, any other ten of DPM-Solver++.
+    ///
+    /// # Errors
+    /// When the model cannot be sampled in this way.
     pub fn new(model: &'a TrainedDenoiser, seed: u64, device: &'a Device) -> Result<Self, Error> {
         let sampler = match &model.spec.distillation {
             Some(Distillation::Steps { sigmas }) => {
@@ -124,6 +127,9 @@ impl<'a> Futures<'a> {
 
 impl<'a> Generator<'a> {
     /// Futures by the denoiser of a sweep, sampled as the sweep is but for its guidance.
+    ///
+    /// # Errors
+    /// When there is no such model, or it cannot be sampled in this way.
     pub fn futures(&self, sweep: &ResolvedSweep) -> Result<Futures<'a>, Error> {
         let (metric_settings, collator) = (self.metric_settings.clone(), Arc::clone(&self.collator));
         let own = Futures::new(self.denoiser(sweep)?, self.config.seed, self.device)?;

@@ -1,6 +1,6 @@
 //! Which agents of a scene can show a behavior, and which are most likely to?
 
-use super::targets::hardness;
+use super::targets::most_difficult;
 use super::{Aim, Error, Generator, PairRanking, ResolvedSweep};
 use crate::behavior::{Behavior, Outcome};
 use crate::diffusion::NoiseSource;
@@ -93,7 +93,7 @@ impl Generator<'_> {
 }
 
 /// Agents of the classes that the behavior admits, tracked over the whole history and near each other, that can still
-/// show the behavior, given their past. Scored by how easily they can, or by their distance if that is undefined.
+/// show the behavior, given their past, or a hard event where these are aimed at. Scored by how easily they can, or by their distance if that is undefined.
 pub(super) fn possible_pairs(sweep: &ResolvedSweep, behavior: &dyn Behavior, scene: &Scene) -> Vec<CandidatePair> {
     let eligible: Vec<usize> = (0..scene.tracks.len())
         .filter(|agent_idx| {
@@ -116,13 +116,14 @@ pub(super) fn possible_pairs(sweep: &ResolvedSweep, behavior: &dyn Behavior, sce
             };
             let outcomes = behavior.feasible(&planned, &agents);
             let effort = outcomes.iter().map(Outcome::effort).reduce(f64::min);
-            if sweep.pairs.only_feasible && effort.is_none() {
+            let is_hard = sweep.aim != Aim::Hard || most_difficult(&outcomes) > 0.0;
+            if sweep.pairs.only_feasible && (effort.is_none() || !is_hard) {
                 continue;
             }
             let roles = behavior.roles().iter().zip(&agents);
             let roles = roles.map(|(role, agent_idx)| ((*role).to_owned(), scene.tracks[*agent_idx].id.clone()));
             let suits = match sweep.aim {
-                Aim::Hard => outcomes.iter().map(hardness).fold(0.0, f64::max),
+                Aim::Hard => most_difficult(&outcomes),
                 Aim::Anything | Aim::Feasible => -effort.unwrap_or(1.0),
             };
             let score = suits - distance_m(scene, first, second) / FAR_M;

@@ -62,6 +62,9 @@ impl ShardPlan {
 impl Generator<'_> {
     /// The plan for the scenes of `index`. The same configuration, models and scenes give the same plan, whatever the
     /// order of the scenes (except for their indices).
+    ///
+    /// # Errors
+    /// When no scene fits a sweep, or a scene cannot be loaded.
     pub fn plan(&self, index: &SceneIndex) -> Result<Plan, Error> {
         self.plan_first(self.config.sweeps.len(), index)
     }

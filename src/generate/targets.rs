@@ -13,8 +13,8 @@ const HALF_WIDTH_S: f64 = 0.15;
 const HALF_WIDTH: f64 = 0.5;
 /// The weight of an outcome that takes everything the limits of driving allow; an effortless one has 1 more.
 const LEAST_EASE: f64 = 0.1;
-/// The weight of outcomes that are not hard at all, where hard ones are aimed at.
-const LEAST_HARDNESS: f64 = 1e-3;
+/// The least hardness of an outcome that is aimed at as a hard one: 2.5 s to spare.
+const LEAST_HARDNESS: f64 = 0.03125;
 
 impl Generator<'_> {
     /// The targets of the samples of `pair`, in order: as many as the sweep has samples, or as the pair has outcomes.
@@ -35,7 +35,7 @@ impl Generator<'_> {
         let (first, second) = pair.agents;
         let seed = self.seed().derive_named("aim", &scene.0).derive("pair", &[first as u64, second as u64]);
         let weight = if sweep.aim == Aim::Hard { difficulty } else { ease };
-        in_drawn_order(&pair.outcomes, weight, seed)
+        in_drawn_order(pair.outcomes.iter().filter(|outcome| weight(outcome) > 0.0), weight, seed)
             .take(sweep.n_samples)
             .map(target)
             .filter(|t| !t.is_empty())
@@ -48,25 +48,39 @@ fn ease(outcome: &Outcome) -> f64 {
     LEAST_EASE + 1.0 - outcome.effort().clamp(0.0, 1.0)
 }
 
-/// The weight of an outcome where hard ones are aimed at.
+/// The weight of an outcome where hard ones are aimed at: 0 unless it is one. Those that close no gap by their kind
+/// come alike.
 fn difficulty(outcome: &Outcome) -> f64 {
-    LEAST_HARDNESS + hardness(outcome)
+    match hardness(outcome) {
+        None => 1.0,
+        Some(hardness) if hardness < LEAST_HARDNESS => 0.0,
+        Some(hardness) => hardness,
+    }
+}
+
+/// The largest weight of these outcomes where hard ones are aimed at; 0 if none is hard.
+pub(super) fn most_difficult(outcomes: &[Outcome]) -> f64 {
+    outcomes.iter().map(difficulty).fold(0.0, f64::max)
 }
 
 /// How near an outcome is to what cannot be avoided, from 0 to 1: a quarter with each second to spare. 0 if it cannot
-/// be, or no gap closes.
-pub(super) fn hardness(outcome: &Outcome) -> f64 {
-    let closing = outcome.get("relative_speed_mps").filter(|mps| *mps > 0.0);
-    let spare_s = outcome.get("gap_m").zip(closing).map(|(gap_m, mps)| gap_m / mps - least_ttc_s(mps));
-    spare_s.filter(|spare_s| *spare_s >= 0.0).map_or(0.0, |spare_s| (-2.0 * spare_s).exp2())
+/// be avoided, or no gap closes; `None` for events without gaps.
+fn hardness(outcome: &Outcome) -> Option<f64> {
+    let (gap_m, closing_mps) = (outcome.get("gap_m")?, outcome.get("relative_speed_mps")?);
+    let spare_s = gap_m / closing_mps - least_ttc_s(closing_mps);
+    Some(if closing_mps > 0.0 && spare_s >= 0.0 { (-2.0 * spare_s).exp2() } else { 0.0 })
 }
 
 /// All outcomes in an order drawn without replacement, each with a chance in proportion to its weight (Efraimidis and
 /// Spirakis 2006).
-fn in_drawn_order(outcomes: &[Outcome], weight: fn(&Outcome) -> f64, seed: Seed) -> impl Iterator<Item = &Outcome> {
+fn in_drawn_order<'a>(
+    outcomes: impl Iterator<Item = &'a Outcome>,
+    weight: fn(&Outcome) -> f64,
+    seed: Seed,
+) -> impl Iterator<Item = &'a Outcome> {
     let mut rng = seed.rng();
     let key = |outcome| (rng.uniform().powf(1.0 / weight(outcome)), outcome);
-    let mut keyed: Vec<(f64, &Outcome)> = outcomes.iter().map(key).collect();
+    let mut keyed: Vec<(f64, &Outcome)> = outcomes.map(key).collect();
     keyed.sort_by(|a, b| b.0.total_cmp(&a.0));
     keyed.into_iter().map(|(_, outcome)| outcome)
 }
@@ -78,11 +92,13 @@ mod tests {
     #[test]
     fn hard_outcomes_close_in_little_more_time_than_a_careful_driver_needs() {
         let at =
-            |gap_m: f64, mps: f64| hardness(&Outcome::default().with("gap_m", gap_m).with("relative_speed_mps", mps));
+            |gap_m: f64, mps: f64| difficulty(&Outcome::default().with("gap_m", gap_m).with("relative_speed_mps", mps));
         // 6 m/s need 6 / 12 + 0.35 s: 5.1 m.
         assert!((at(5.1, 6.0) - 1.0).abs() < 1e-9 && (at(11.1, 6.0) - 0.25).abs() < 1e-9);
-        assert_eq!([at(5.0, 6.0), at(5.0, -1.0), hardness(&Outcome::default())], [0.0; 3]);
-        assert_eq!(difficulty(&Outcome::default()), 1e-3, "others are aimed at, too, but seldom");
+        // It cannot be avoided, is easy, or closes no gap; a turn has none.
+        assert_eq!([at(5.0, 6.0), at(20.2, 6.0), at(5.0, -1.0)], [0.0; 3]);
+        assert_eq!(difficulty(&Outcome::default()), 1.0);
+        assert_eq!(most_difficult(&[]), 0.0);
     }
 
     #[test]
@@ -92,7 +108,7 @@ mod tests {
         let mut n_first = [0; 3];
         for draw in 0..3000 {
             let order: Vec<f64> =
-                in_drawn_order(&outcomes, ease, Seed(draw)).filter_map(|outcome| outcome.get("gap_m")).collect();
+                in_drawn_order(outcomes.iter(), ease, Seed(draw)).filter_map(|outcome| outcome.get("gap_m")).collect();
             let mut sorted = order.clone();
             sorted.sort_by(f64::total_cmp);
             assert_eq!(sorted, [0.0, 0.5, 1.0]);

@@ -49,6 +49,9 @@ struct AgentMap {
 impl MaskChange {
     /// The change between two batches of the same scenes, seen from the same agents. All latent entries of `extended`
     /// are latent in `base`, too.
+    ///
+    /// # Errors
+    /// When the batches do not belong together.
     pub fn new(base: &SceneBatch, extended: &SceneBatch) -> Result<Self> {
         if base.x0.dims() != extended.x0.dims() {
             candle_core::bail!("the batches of the two masks have different shapes");

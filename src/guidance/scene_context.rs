@@ -55,6 +55,9 @@ pub struct SceneContext {
 
 impl SceneContext {
     /// The context of `batch`, whose row b was made from `rows[b]`.
+    ///
+    /// # Errors
+    /// When there is not one row each, or an agent with a role is not in the batch.
     pub fn new(batch: &SceneBatch, rows: &[ContextRow<'_>]) -> Result<Self> {
         let (n_rows, n_agents, _) = batch.latent.dims3()?;
         let Some(first) = rows.first().filter(|_| rows.len() == n_rows) else {
@@ -131,6 +134,9 @@ impl SceneContext {
     }
 
     /// Sets the target of the event of each row.
+    ///
+    /// # Errors
+    /// If there is not one target for each row.
     pub fn aiming_at(self, targets: Vec<Target>) -> Result<Self> {
         if targets.len() != self.ego.len() {
             bail!("{} targets given for {} rows", targets.len(), self.ego.len());
@@ -146,6 +152,9 @@ impl SceneContext {
     }
 
     /// 1 for the agents that `selector` names, (B, A). Padding may be among them: it has no valid entry.
+    ///
+    /// # Errors
+    /// When it names no agent.
     pub fn selected(&self, selector: &AgentSelector) -> Result<Tensor> {
         let (n_rows, n_agents) = self.motorized.dims2()?;
         if selector.name() == AgentSelector::ALL {
@@ -170,6 +179,9 @@ impl SceneContext {
 
     /// 1 if a term over the states of `order` + 1 timesteps from t on counts, (B, A, T - `order`): all of them are
     /// valid, and at least one is generated.
+    ///
+    /// # Errors
+    /// When there are fewer timesteps.
     pub fn terms(&self, order: usize) -> Result<Tensor> {
         let n_timesteps = self.valid.dim(2)?;
         let Some(n_terms) = n_timesteps.checked_sub(order).filter(|n| *n > 0) else {

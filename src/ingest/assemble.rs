@@ -117,6 +117,9 @@ pub(super) fn assemble(
 }
 
 /// A scene from tracks that were not recorded, chosen and framed as recorded ones are; `map` is the whole map.
+///
+/// # Errors
+/// Rejects what is rejected in recordings.
 pub fn assemble_window(raw: RawScene, map: Option<Arc<LaneGraph>>, config: &IngestConfig) -> Result<Scene, Reject> {
     let map = map.map(LaneIndex::new);
     assemble(raw, map.as_ref(), config).map(|(scene, _)| scene)

@@ -70,6 +70,9 @@ pub(crate) use test_data::{scenes as scenes_of, test_data};
 use crate::scene::Dataset;
 
 /// The configured timesteps of scenes.
+///
+/// # Errors
+/// When more are configured than the dataset has.
 pub fn usual_horizon(config: &IngestConfig) -> Result<Horizon, Error> {
     Ok(source_of(config)?.horizon())
 }

@@ -129,6 +129,9 @@ impl Horizon {
     }
 
     /// The configured horizon for recordings of fixed length, whose present is fixed: it may only be shorter.
+    ///
+    /// # Errors
+    /// [`Error::Config`] when it is longer than the recordings.
     pub fn within(config: &IngestConfig, recorded: Self) -> Result<Self, Error> {
         let horizon = Self::of(config, recorded);
         for (key, asked, has) in

@@ -46,6 +46,9 @@ impl MetricSettings {
     }
 
     /// Checks the settings.
+    ///
+    /// # Errors
+    /// Names its key below `evaluate`, its value and the expectation.
     pub fn validate(&self) -> settings::Result {
         settings::check_ranges(&self.validity).map_err(|issue| issue.within("validity"))
     }

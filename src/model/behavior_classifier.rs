@@ -41,6 +41,9 @@ pub struct BehaviorClassifier {
 impl BehaviorClassifier {
     /// A classifier of pairs over `n_timesteps` with `state_dim` diffused dimensions, whose parameters live in
     /// `params`; missing ones are drawn from `seed`.
+    ///
+    /// # Errors
+    /// Fails when the parameters exist with other shapes.
     pub fn new(
         params: &mut Params,
         config: &BehaviorClassifierConfig,
@@ -58,6 +61,9 @@ impl BehaviorClassifier {
 
     /// ln p / (1 - p) of the behavior for each pair, (B). `x` (B, A, T, D) are diffused states at the noise levels
     /// `sigma` (B), of the batch that `features` was made for. Differentiable in `x`.
+    ///
+    /// # Errors
+    /// Fails when shapes do not fit.
     pub fn logits(&self, features: &PairFeatures, x: &Tensor, sigma: &Tensor) -> Result<Tensor> {
         let pairs = features.forward(x, sigma)?;
         let c_noise: Vec<f32> = sigma_rows(sigma)?.into_iter().map(|s| self.edm.c_noise(s) as f32).collect();

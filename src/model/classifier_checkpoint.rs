@@ -55,6 +55,9 @@ pub enum ClassifierKind {
 
 impl ClassifierSpec {
     /// The classifier's input for agents `pairs[b]` = (first, second) of row b, as places on the batch's agent axis.
+    ///
+    /// # Errors
+    /// Fails when there is not one pair per row or a place lies outside the agent axis.
     pub fn features(&self, batch: &SceneBatch, pairs: &[(usize, usize)]) -> Result<PairFeatures> {
         PairFeatures::new(batch, pairs, self.normalizer.parametrization)
     }

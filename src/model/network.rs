@@ -143,6 +143,9 @@ pub struct Known {
 
 impl Known {
     /// The known input with each row taken `n` times in a row. Maps are shared, not repeated.
+    ///
+    /// # Errors
+    /// Fails when the device runs out of memory.
     pub fn repeated(&self, n: usize) -> Result<Self> {
         let rows = RepeatedRows::new(self.valid.dim(0)?, n, self.valid.device())?;
         Ok(Self {
@@ -156,6 +159,9 @@ impl Known {
 
 impl SceneNetwork {
     /// A network for states of `state_dim` dimensions, with parameters below `scope`.
+    ///
+    /// # Errors
+    /// Fails when the layer string holds other letters than T, A and M, or sizes do not fit.
     pub fn new(scope: &mut Scope<'_>, config: &NetworkConfig, state_dim: usize) -> Result<Self> {
         let NetworkConfig { width, n_heads, feed_forward, encoding, .. } = *config;
         let known = KnownInput::new(scope, encoding, width, state_dim)?;
@@ -174,6 +180,9 @@ impl SceneNetwork {
     /// Encodes the inputs that do not change between calls: known states `context` (B, A, T, D), agent features (B, A,
     /// T, C), lane polylines (M, L, F) with `lane_valid` (M, L), `valid` (B, A, T) and `latent` (B, A, T), where
     /// results are read.
+    ///
+    /// # Errors
+    /// Fails when shapes do not fit the network.
     pub fn encode_known(
         &self,
         context: &Tensor,
@@ -194,6 +203,9 @@ impl SceneNetwork {
 
     /// F_θ for scaled noisy states `x` (B, A, T, D), zero where not latent, at `c_noise` (B): (B, A, T, D), zero there,
     /// too.
+    ///
+    /// # Errors
+    /// Fails when shapes do not fit.
     pub fn forward(&self, x: &Tensor, known: &Known, c_noise: &Tensor) -> Result<Tensor> {
         let valid = &known.valid;
         let latent = self.input_latent.forward_valid(&encode_states(x, self.encoding, self.latent_periods)?, valid)?;

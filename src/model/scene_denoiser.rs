@@ -31,6 +31,9 @@ enum Network {
 
 impl SceneDenoiser {
     /// A denoiser whose parameters live in `params`; missing ones are drawn from `seed`.
+    ///
+    /// # Errors
+    /// Fails when the configuration is not that of a network.
     pub fn new(params: &mut Params, config: &NetworkConfig, state_dim: usize, edm: Edm, seed: Seed) -> Result<Self> {
         let mut scope = Scope::root(params, seed);
         let network = match &config.geometry {
@@ -50,6 +53,9 @@ impl SceneDenoiser {
     /// The denoiser conditioned on the observed states and maps of `batch`, for `n_samples` samples of every row: rows
     /// b · n_samples to (b + 1) · n_samples - 1 of its input belong to row b of the batch. Results that all samples of
     /// a scene share are computed once.
+    ///
+    /// # Errors
+    /// Fails when the batch does not fit the network.
     pub fn bind(&self, batch: &SceneBatch, n_samples: usize) -> Result<BoundDenoiser<'_>> {
         let rows = RepeatedRows::new(batch.n_rows(), n_samples, batch.latent.device())?;
         let latent = rows.tensor(&batch.latent.unsqueeze(3)?)?;

@@ -112,6 +112,9 @@ pub struct SceneTransformer {
 impl SceneTransformer {
     /// A network for states of `state_dim` dimensions in a parametrization, whose parameters live in `params`; missing
     /// ones are drawn from `seed`.
+    ///
+    /// # Errors
+    /// Fails when the layer strings hold other letters than T, A and M, there is no mode, or sizes do not fit.
     pub fn new(
         params: &mut Params,
         config: &SceneTransformerConfig,
@@ -152,6 +155,9 @@ impl SceneTransformer {
     }
 
     /// The futures of the scenes of a batch. Does not look at `batch.x0`.
+    ///
+    /// # Errors
+    /// Fails when the batch does not fit the network.
     pub fn forward(&self, batch: &SceneBatch) -> Result<JointFutures> {
         let valid = &batch.valid;
         let (n_rows, n_modes) = (batch.n_rows(), self.n_modes());

@@ -89,6 +89,9 @@ pub struct TrainedModel<S: ModelSpec> {
 
 impl<S: ModelSpec> TrainedModel<S> {
     /// Reads a checkpoint file.
+    ///
+    /// # Errors
+    /// When the file is not a whole checkpoint of such a network, in this version.
     pub fn read(path: &Path, compute: &Compute) -> Result<Self, Error> {
         let checkpoint = read_checkpoint::<S>(path, &compute.device)?;
         let tensor_error = |source| Error::Tensor { path: path.to_owned(), source };

@@ -26,6 +26,9 @@ pub struct SelfAttention {
 impl SelfAttention {
     /// Attention over `dim` features in `n_heads` heads, with parameters `qkv` (queries, keys and values in one map)
     /// and `out`.
+    ///
+    /// # Errors
+    /// When `dim` is not a multiple of `n_heads`, or the parameters exist with other shapes.
     pub fn new(scope: &mut Scope<'_>, name: &str, dim: usize, n_heads: usize) -> Result<Self> {
         check_heads(name, dim, n_heads)?;
         let mut scope = scope.enter(name);
@@ -54,6 +57,9 @@ pub struct CrossAttention {
 impl CrossAttention {
     /// Attention over `dim` features in `n_heads` heads, with parameters `query`, `key_value` (keys and values in one
     /// map) and `out`.
+    ///
+    /// # Errors
+    /// When `dim` is not a multiple of `n_heads`, or the parameters exist with other shapes.
     pub fn new(scope: &mut Scope<'_>, name: &str, dim: usize, n_heads: usize) -> Result<Self> {
         check_heads(name, dim, n_heads)?;
         let mut scope = scope.enter(name);

@@ -29,6 +29,9 @@ pub struct Checkpoint<M> {
 /// Writes `tensors` and `metadata` to a safetensors file at `path`, and returns the file's fingerprint. The file
 /// appears complete or not at all. Its bytes depend only on its content, as long as `metadata` serializes in a fixed
 /// order.
+///
+/// # Errors
+/// When the folder cannot be written or `metadata` cannot be serialized.
 pub fn write_checkpoint<M: Serialize>(
     path: &Path,
     tensors: &BTreeMap<String, Tensor>,
@@ -49,12 +52,18 @@ pub fn write_checkpoint<M: Serialize>(
 }
 
 /// Reads the checkpoint at `path`, with its tensors on `device`.
+///
+/// # Errors
+/// When the file cannot be read, is cut off, or holds no metadata of type `M`.
 pub fn read_checkpoint<M: DeserializeOwned>(path: &Path, device: &Device) -> Result<Checkpoint<M>, Error> {
     regular(path)?;
     parse_checkpoint(&fs_err::read(path)?, path, device)
 }
 
 /// Parses the `bytes` of the checkpoint file at `path`.
+///
+/// # Errors
+/// When they are cut off, or hold no metadata of type `M`.
 pub fn parse_checkpoint<M: DeserializeOwned>(
     bytes: &[u8],
     path: &Path,

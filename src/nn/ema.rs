@@ -38,6 +38,9 @@ impl Ema {
     }
 
     /// Moves the average toward the present values of `params`.
+    ///
+    /// # Errors
+    /// When `params` are not those from which the average was made.
     pub fn update(&mut self, params: &Params) -> Result<()> {
         self.n_updates += 1;
         let n = self.n_updates as f64;
@@ -51,6 +54,9 @@ impl Ema {
 
     /// Swaps the averages and the values of `params`: once to evaluate with the averages, once more to continue
     /// training.
+    ///
+    /// # Errors
+    /// When `params` are not those from which the average was made.
     pub fn swap(&mut self, params: &mut Params) -> Result<()> {
         let values = copies(&params.tensors())?;
         params.load(&self.tensors)?;

@@ -8,6 +8,9 @@ use super::ops;
 /// `dim` features of every entry of `x` (..): the sines, then the cosines, of 2 π x / p for `dim` / 2 periods p that
 /// grow geometrically from `min_period` to `max_period` (Vaswani et al. 2017, with the periods of DJINN's appendix A).
 /// Returns (.., `dim`), differentiable in `x`.
+///
+/// # Errors
+/// When `dim` is odd or 0, or the periods are not positive.
 pub fn sinusoidal(x: &Tensor, dim: usize, min_period: f64, max_period: f64) -> Result<Tensor> {
     if dim == 0 || !dim.is_multiple_of(2) {
         bail!("a sinusoidal encoding needs an even number of features, not {dim}");

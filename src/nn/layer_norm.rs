@@ -26,6 +26,9 @@ impl LayerNorm {
     }
 
     /// (x - mean) / √(variance + 1e-5) · weight + bias over the last dimension of x (.., `dim`).
+    ///
+    /// # Errors
+    /// When the last dimension is not `dim`.
     pub fn forward(&self, x: &Tensor) -> Result<Tensor> {
         ops::layer_norm(x, &self.weight, &self.bias, EPSILON)
     }

@@ -25,11 +25,17 @@ impl Linear {
     }
 
     /// W x + b: (.., `n_in`) to (.., `n_out`).
+    ///
+    /// # Errors
+    /// When the last dimension is not `n_in`.
     pub fn forward(&self, x: &Tensor) -> Result<Tensor> {
         self.apply(x, Activation::None, None)
     }
 
     /// As [`forward`](Self::forward) where `valid` (..) is 1, and exactly 0 elsewhere, without work on those rows.
+    ///
+    /// # Errors
+    /// When the last dimension is not `n_in` or the leading ones are not those of `valid`.
     pub fn forward_valid(&self, x: &Tensor, valid: &Tensor) -> Result<Tensor> {
         self.apply(x, Activation::None, Some(valid))
     }

@@ -22,11 +22,17 @@ impl Mlp {
     }
 
     /// (.., first width) to (.., last width).
+    ///
+    /// # Errors
+    /// When the last dimension is not the first width.
     pub fn forward(&self, x: &Tensor) -> Result<Tensor> {
         self.apply(x, None)
     }
 
     /// As [`forward`](Self::forward) where `valid` (..) is 1, and exactly 0 elsewhere, without work on those rows.
+    ///
+    /// # Errors
+    /// When the last dimension is not the first width or the leading ones are not those of `valid`.
     pub fn forward_valid(&self, x: &Tensor, valid: &Tensor) -> Result<Tensor> {
         self.apply(x, Some(valid))
     }

@@ -8,6 +8,9 @@ use crate::nn::Compute;
 use std::path::Path;
 
 /// The model that is `named`, or otherwise the distilled denoiser or the denoiser of the run of the `corpus`.
+///
+/// # Errors
+/// When there is none, or it is not a whole checkpoint.
 pub fn open_model(named: Option<&Path>, corpus: &Path, compute: &Compute) -> Result<TrainedDenoiser> {
     let beside = corpus.parent().unwrap_or(Path::new(""));
     let of_run = [DISTILLED, DENOISER].map(|name| checkpoint_file(&beside.join(name)));

@@ -19,6 +19,9 @@ use std::time::Instant;
 const N_TIMED: usize = 3;
 
 /// The plan of generation as lines for people, with its maximal cost; empty if nothing is generated.
+///
+/// # Errors
+/// If the section is invalid, or a tensor operation fails.
 pub fn estimate(config: &PipelineConfig, layout: &Layout) -> Result<Vec<String>> {
     let Some(generate) = &config.generate else { return Ok(Vec::new()) };
     let resolved = generate.resolve(&config.mine.clone().unwrap_or_default().build()?)?;

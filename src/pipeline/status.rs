@@ -48,6 +48,9 @@ pub enum ProgressState {
 }
 
 /// Reads the progress from the run folder `root`.
+///
+/// # Errors
+/// When it is not a run folder; errors of the file system.
 pub fn status(root: &Path) -> Result<Status> {
     let manifest: Option<RunManifest> = read_json(&root.join(RUN_FILE)).ok();
     let shards = shard_status(root, &KINDS)?;

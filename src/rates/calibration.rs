@@ -85,6 +85,9 @@ impl ModeledRates {
 
     /// The rate of a bucket at a place. Its interval is that of the loops and of the discrepancy between modeled and
     /// recorded rates of all events of the behavior there, combined on logarithms.
+    ///
+    /// # Errors
+    /// Why none is given, in words.
     pub fn rate(&self, asked: Asked<'_>) -> Result<RateRow, String> {
         let place = asked.place.unwrap_or_default();
         let of_behavior = |one: &&Calibration| one.place == place && one.behavior == asked.behavior;

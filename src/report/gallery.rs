@@ -78,6 +78,9 @@ impl<'a> Gallery<'a> {
 
     /// Draws the chosen scenarios with their `metrics` and `verdicts`, which may be empty. Events are compared with the
     /// `recorded` ones, if there are any.
+    ///
+    /// # Errors
+    /// When a recording is missing or cannot be read; errors of the tables.
     pub fn finish(
         self,
         recorded: Option<impl Iterator<Item = store::Result<BehaviorEvent>>>,

@@ -157,6 +157,9 @@ impl SceneEdit {
     }
 
     /// The scene with this change; `resolve` finds the agents that it names. The past does not change.
+    ///
+    /// # Errors
+    /// When the scene has no future or no such agent at present.
     pub fn apply(&self, scene: &Scene, resolve: &dyn Fn(&AgentRef) -> Option<usize>) -> Result<Scene, UnfitScene> {
         if !scene.has_future() {
             return Err(UnfitScene("has no recorded future to edit".to_owned()));

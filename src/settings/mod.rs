@@ -76,6 +76,9 @@ pub fn distinct<T: PartialEq + Display>(key: &str, entries: &[T]) -> Result {
 const MAX_NAME_BYTES: usize = 200;
 
 /// Refuses names that cannot be shown in tables, on pages and on terminals.
+///
+/// # Errors
+/// When it is empty or longer than names of files may be, or holds line breaks or other control characters.
 pub fn printable_name(key: &str, name: &str) -> Result {
     match name.len() {
         0 => Err(Issue::new(key, "is empty, expected a name")),

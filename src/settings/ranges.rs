@@ -20,6 +20,9 @@ const SECTION: &str = "section";
 
 /// Refuses settings with a number that is NaN or outside the range in the type's schema. A number with a range is
 /// finite.
+///
+/// # Errors
+/// The first such setting with the range; an error if they cannot be written as TOML.
 pub fn check_ranges<T: Serialize + JsonSchema>(settings: &T) -> Result {
     let schema = schemars::schema_for!(T).to_value();
     // The text can hold values that TOML cannot: whole numbers of 2^63 and more.

@@ -1,7 +1,8 @@
 //! Lets the scenarios of a sweep go on in closed loops.
 //!
-//! The first plan of everybody is the sample itself; if it is driven to the end, nothing changes. Nothing ends the
-//! drive while the sample lasts, so that scenarios and recordings are compared over the same time.
+//! The first plan of everybody is the sample itself; if it is driven to the end, nothing changes, but that the ego `log`
+//! answers to events that guidance has brought about. Nothing ends the drive while the sample lasts, so that scenarios
+//! and recordings are compared over the same time.
 
 use super::drivers::named;
 use super::maps::Maps;
@@ -17,6 +18,9 @@ use crate::scenario::{EgoChoice, ScenarioRecord};
 use crate::scene::{ObservationMask, Scene, Trajectory};
 use crate::store::{SceneStore, as_stored};
 use std::sync::Arc;
+
+/// How long after the event begins its ego answers to it, seconds: as the careful driver of UN R157.
+const REACTS_S: f64 = 0.75;
 
 /// Drives on the scenarios of a shard that show the requested behavior, or all if none is requested; arrivals are those
 /// of places in `store`. A scenario whose ego has no way stays as it is, and one without a future is rejected.
@@ -62,6 +66,10 @@ pub fn roll_out_samples(
             let others = (0..situation.scene.tracks.len()).filter(|idx| *idx != situation.ego_idx).filter(follows);
             let others: Vec<usize> = others.filter(|idx| !situation.planned.contains(idx)).collect();
             situation.planned.extend(others);
+            if config.ego == NamedDriver::Log {
+                let until = sees_from(&output.records[*i], futures.n_timesteps());
+                forget(&mut situation.scene, situation.ego_idx, until);
+            }
             let [n_steps, _] = own.n_steps(situation.scene.dt_s);
             maps.expect_arrivals(&mut situation, futures.seed(), [n_steps, 0, n_steps])?;
             situations.push((*i, situation));
@@ -97,6 +105,21 @@ pub fn roll_out_samples(
     Ok(())
 }
 
+/// The timestep from which the ego of a sample without a template answers to what it did not see: guidance moves the
+/// others, and the sample lets the ego drive on.
+fn sees_from(record: &ScenarioRecord, n_timesteps: usize) -> usize {
+    let scene = &record.scenario.scene;
+    let event = record.events.first().filter(|_| scene.n_timesteps == n_timesteps);
+    event.map_or(usize::MAX, |event| event.start_timestep + (REACTS_S / scene.dt_s).round() as usize)
+}
+
+/// Leaves out the states of an agent from a timestep on.
+fn forget(scene: &mut Scene, agent_idx: usize, from: usize) {
+    let trajectory = &mut scene.tracks[agent_idx].trajectory;
+    let known = |(timestep, state): (usize, &Option<_>)| state.filter(|_| timestep < from);
+    *trajectory = Trajectory::new(trajectory.entries().iter().enumerate().map(known).collect());
+}
+
 /// Leaves out what a template plans after the end of the sample.
 fn end_with_sample(record: &mut ScenarioRecord, n_timesteps: usize, behavior: Option<&dyn Behavior>) {
     let scenario = &mut record.scenario;
@@ -122,9 +145,16 @@ fn continue_with(
 ) {
     let sampled = &record.scenario.scene;
     let [_, n_plan] = own.n_steps(sampled.dt_s);
-    let follows_sample = matches!(config.ego, NamedDriver::Model | NamedDriver::Log);
-    let n_given = |agent_idx: usize| match agent_idx == situation.ego_idx && !follows_sample {
-        true => sampled.n_history,
+    let n_followed = match config.ego {
+        NamedDriver::Model => usize::MAX,
+        NamedDriver::Log => {
+            let known = situation.scene.tracks[situation.ego_idx].trajectory.valid().next_back();
+            known.map_or(0, |(timestep, _)| timestep + 1)
+        }
+        _ => sampled.n_history,
+    };
+    let n_given = |agent_idx: usize| match agent_idx == situation.ego_idx {
+        true => n_followed.min(sampled.n_history + n_plan),
         false => sampled.n_history + n_plan,
     };
     let mut scene = situation.driven(&driven.world);
@@ -203,8 +233,8 @@ mod tests {
 
     #[test]
     fn a_sample_that_is_driven_to_its_end_stays_as_it_is() {
-        let [sampled, mut driven, unverified] = rolled_out(NamedDriver::Log, [3.0, 3.0], 1);
-        assert_eq!(driven.scenario.provenance.ego_driver.take().as_deref(), Some("log"));
+        let [sampled, mut driven, unverified] = rolled_out(NamedDriver::Model, [3.0, 3.0], 1);
+        assert_eq!(driven.scenario.provenance.ego_driver.take().as_deref(), Some("model"));
         // The corpus may come from a program that rounded differently.
         for (found, expected) in driven.events.iter().zip(&sampled.events) {
             let mut both = found.parameters.iter().zip(&expected.parameters);
@@ -213,6 +243,15 @@ mod tests {
         driven.events.clone_from(&sampled.events);
         assert_eq!(driven, sampled);
         assert_eq!(unverified.scenario, sampled.scenario);
+        // What guidance made the others do, the ego answers to once it could have seen it.
+        let [_, logged, _] = rolled_out(NamedDriver::Log, [3.0, 3.0], 1);
+        let (before, after, ego_idx) =
+            (&sampled.scenario.scene, &logged.scenario.scene, sampled.subject_idx().unwrap());
+        let answers = sampled.events[0].start_timestep + 8;
+        let same = |idx: usize, timestep: usize| before.state(idx, timestep) == after.state(idx, timestep);
+        let n = before.n_timesteps;
+        assert_eq!((0..n).find(|timestep| !same(ego_idx, *timestep)), (answers < n).then_some(answers));
+        assert!((0..before.tracks.len()).all(|idx| idx == ego_idx || (0..n).all(|timestep| same(idx, timestep))));
     }
 
     #[test]

@@ -157,11 +157,17 @@ impl World {
     }
 
     /// The world as JSON; numbers are exact.
+    ///
+    /// # Errors
+    /// When a number is not finite.
     pub fn to_json(&self) -> Result<String> {
         serde_json::to_string(self).map_err(|error| Error::Config(format!("the state cannot be saved: {error}")))
     }
 
     /// Reads a saved world.
+    ///
+    /// # Errors
+    /// [`Error::State`] when the file is not a saved world, or of another version.
     pub fn read(path: &Path) -> Result<Self> {
         regular(path)?;
         let text = fs_err::read_to_string(path)?;

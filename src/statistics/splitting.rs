@@ -28,6 +28,9 @@ pub struct Levels<'a> {
 }
 
 /// Follows a process and its copies to their ends, and takes each end with its weight. Returns the number of steps.
+///
+/// # Errors
+/// The first error of the process.
 pub fn split<P: Process>(start: P, levels: Levels<'_>, take: &mut impl FnMut(P, f64)) -> Result<u64, P::Error> {
     let mut n_steps = 0;
     let n_copies = levels.n_copies.max(1);

@@ -9,12 +9,18 @@ use std::path::Path;
 
 impl FileStamp {
     /// Checks that `bytes`, the content of `path`, match the stamp.
+    ///
+    /// # Errors
+    /// [`Error::Corrupt`] when the length or the hash differ.
     pub fn verify(&self, path: &Path, bytes: &[u8]) -> Result<()> {
         self.verify_length(path, bytes.len() as u64)?;
         self.verify_checksum(path, blake3::hash(bytes))
     }
 
     /// Checks that the file at `path` matches the stamp, reading it in pieces.
+    ///
+    /// # Errors
+    /// [`Error::Corrupt`] when the length or the hash differ; errors of the file system.
     pub fn verify_file(&self, path: &Path) -> Result<()> {
         let file = fs::File::open(path)?;
         self.verify_length(path, file.metadata()?.len())?;
@@ -44,6 +50,9 @@ impl FileStamp {
     }
 
     /// Checks only the length, which costs nothing and finds truncation.
+    ///
+    /// # Errors
+    /// [`Error::Corrupt`] when the length differs.
     pub fn verify_length(&self, path: &Path, n_bytes: u64) -> Result<()> {
         if n_bytes == self.n_bytes {
             Ok(())
@@ -61,6 +70,9 @@ pub fn write_json_atomically<T: Serialize + ?Sized>(path: &Path, value: &T) -> R
 }
 
 /// Reads a JSON file.
+///
+/// # Errors
+/// If the file cannot be read or is not JSON of this form; the message names the path.
 pub fn read_json<T: DeserializeOwned>(path: &Path) -> Result<T> {
     serde_json::from_slice(&fs::read(path)?).map_err(Error::json(path))
 }
@@ -86,6 +98,9 @@ pub fn write_record<T: Serialize>(path: &Path, value: &T) -> Result<FileStamp> {
 }
 
 /// Reads a record; `None` if there is none.
+///
+/// # Errors
+/// [`Error::Record`] when it is not as it was written; errors of the file system.
 pub fn read_record<T: DeserializeOwned>(path: &Path) -> Result<Option<T>> {
     let bytes = match fs::read(path) {
         Err(error) if is_missing(&error) => return Ok(None),

@@ -23,6 +23,10 @@ pub fn write_binary_atomically<T: Serialize>(path: &Path, format: &str, value: &
 }
 
 /// Reads a file written by [`write_binary_atomically`].
+///
+/// # Errors
+/// [`Error::SchemaVersion`] when the file has another format, [`Error::Corrupt`] when its content is not as it was
+/// written; errors of the file system.
 pub fn read_binary<T: DeserializeOwned>(path: &Path, format: &str) -> Result<T> {
     let content = fs_err::read(path)?;
     let end = content.iter().position(|byte| *byte == b'\n').unwrap_or(content.len());

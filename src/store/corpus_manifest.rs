@@ -131,6 +131,10 @@ impl CorpusManifest {
     }
 
     /// Reads the manifest of a corpus, without opening its tables.
+    ///
+    /// # Errors
+    /// [`Error::NoCorpus`] when the folder is not a corpus, [`Error::Unfinished`] when its writer did not finish,
+    /// [`Error::SchemaVersion`] when the version of the manifest cannot be read.
     pub fn read(dir: &Path) -> Result<Self> {
         let path = dir.join(MANIFEST_FILE);
         // A folder that does not exist has an error of its own.

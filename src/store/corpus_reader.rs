@@ -34,6 +34,10 @@ pub struct CorpusReader {
 impl CorpusReader {
     /// Opens a finished corpus, of this version or an earlier one with one file per table, and verifies the checksums
     /// of all of its tables.
+    ///
+    /// # Errors
+    /// [`Error::Unfinished`] without a manifest, [`Error::SchemaVersion`] when its version cannot be read,
+    /// [`Error::Corrupt`] when a table is not as it was written.
     pub fn open(dir: &Path) -> Result<Self> {
         let scan = CorpusScan::open(dir)?;
         let scenarios_path = dir.join(CorpusTable::Scenarios.name());
@@ -79,6 +83,9 @@ impl CorpusReader {
     }
 
     /// The ids of all scenarios, in order.
+    ///
+    /// # Errors
+    /// [`Error::Corrupt`] when the table has no such column.
     pub fn scenario_ids(&self) -> Result<impl Iterator<Item = &str>> {
         let ids: &StringArray = self.columns().get("scenario_id")?;
         Ok(ids.iter().flatten())
@@ -92,6 +99,9 @@ impl CorpusReader {
     }
 
     /// The position of the scenario whose id is or begins with `scenario_id`.
+    ///
+    /// # Errors
+    /// [`Error::NotFound`] when there is none or several.
     pub fn position(&self, scenario_id: &str) -> Result<usize> {
         let ids = || Ok::<_, Error>(self.scenario_ids()?.enumerate());
         if let Some((position, _)) = ids()?.find(|(_, id)| *id == scenario_id) {
@@ -106,6 +116,9 @@ impl CorpusReader {
     }
 
     /// Loads scenario `i` with its tracks, lanes and events.
+    ///
+    /// # Errors
+    /// [`Error::NotFound`] when there are fewer, [`Error::Corrupt`] when the tables do not fit each other.
     pub fn scenario(&self, i: usize) -> Result<ScenarioRecord> {
         let missing = || self.missing(&format!("scenario number {i} of {}", self.len()));
         let (path, rows) = self.tracks.get(i).ok_or_else(missing)?;
@@ -116,6 +129,9 @@ impl CorpusReader {
     }
 
     /// The position of the first scenario of each scene on this map.
+    ///
+    /// # Errors
+    /// [`Error::Corrupt`] when the table lacks a column.
     pub fn scenes_of(&self, map_id: &MapId) -> Result<Vec<usize>> {
         let columns = self.columns();
         let [scenes, maps]: [&StringArray; 2] = [columns.get("scene_id")?, columns.get("map_id")?];
@@ -126,6 +142,9 @@ impl CorpusReader {
     }
 
     /// The windows of this recording ([`SceneId::windows_of`]), with the position of the first scenario of each.
+    ///
+    /// # Errors
+    /// [`Error::Corrupt`] when the table lacks a column.
     pub fn windows_of(&self, recording: &str) -> Result<Vec<(i64, usize)>> {
         let ids: &StringArray = self.columns().get("scene_id")?;
         Ok(SceneId::windows_of(recording, (0..self.len()).map(|i| ids.value(i))))
@@ -133,6 +152,9 @@ impl CorpusReader {
 
     /// The tracks of a recorded scene, in the scene frame; `None` if the corpus lacks the recording. The rest of the
     /// scene is as in the scenarios that continue it.
+    ///
+    /// # Errors
+    /// [`Error::Corrupt`] when the table cannot be read or has a state after `n_timesteps`.
     pub fn recorded_tracks(&self, scene_id: &SceneId, n_timesteps: usize) -> Result<Option<Vec<Track>>> {
         let Some((path, rows)) = self.recordings.get(&scene_id.0) else { return Ok(None) };
         let batch = rows_of(path, CorpusTable::Recordings, rows.clone())?;

@@ -38,6 +38,9 @@ pub struct CorpusWriter<'m> {
 impl<'m> CorpusWriter<'m> {
     /// Begins a corpus in `dir`, which is created if it is missing. Files of an interrupted attempt are removed if they
     /// are on a list of ours. Maps are copied from `maps` as scenarios need them.
+    ///
+    /// # Errors
+    /// [`Error::Files`] when the folder holds foreign files; errors of the file system.
     pub fn create(dir: &Path, maps: &'m dyn MapSource) -> Result<Self> {
         let sink = CorpusSink::create(dir)?;
         let spool = dir.join(SPOOL_FILE);
@@ -89,6 +92,9 @@ impl<'m> CorpusWriter<'m> {
     }
 
     /// Adds metric values, in the given order, except those of scenarios that have not been added.
+    ///
+    /// # Errors
+    /// Errors of the rows, and I/O errors.
     pub fn write_metrics(&mut self, rows: impl IntoIterator<Item = Result<MetricRow>>) -> Result<()> {
         let Self { scenario_ids, sink, .. } = self;
         let partition = CorpusTable::Metrics.partition(None, "");
@@ -104,6 +110,9 @@ impl<'m> CorpusWriter<'m> {
     }
 
     /// Finishes the tables, and writes the card and the manifest.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] when a parameter has the name of another column; errors of the file system.
     pub fn finish(mut self, notes: &CorpusNotes) -> Result<CorpusManifest> {
         self.spool.finish()?;
         let path = self.dir.join(SPOOL_FILE);

@@ -9,6 +9,9 @@ use crate::scene::{Roles, Scene};
 use std::path::Path;
 
 /// Writes the table of drives.
+///
+/// # Errors
+/// On I/O errors, or if a parameter has the name of another column.
 pub fn write_drives(path: &Path, rows: &[DriveRow]) -> Result<FileStamp> {
     write_batch(path, &drive::schema(), &drive::encode(rows)?)
 }

@@ -40,6 +40,9 @@ pub struct ParameterSummary {
 
 /// Counts of events and the distributions of their parameters, for each behavior and label, in the order of first
 /// occurrence.
+///
+/// # Errors
+/// [`Error::Frame`] when a group-by fails.
 pub fn summarize_events(events: &[BehaviorEvent]) -> Result<Vec<EventSummary>> {
     let summarize = || {
         let mut summaries = event_counts(events)?;

@@ -63,6 +63,10 @@ pub fn read_events(path: &Path, keep: impl Fn(&BehaviorEvent) -> bool) -> Result
 }
 
 /// Reads a table of events one by one, in the order they were written; few are in memory at a time.
+///
+/// # Errors
+/// [`Error::Corrupt`](super::Error::Corrupt) and [`Error::SchemaVersion`](super::Error::SchemaVersion) when the file is
+/// not such a table or an event is damaged; errors of the file system.
 pub fn stream_events(path: &Path) -> Result<impl Iterator<Item = Result<BehaviorEvent>> + use<>> {
     row_file::stream(path, &event::schema(), event::decode)
 }

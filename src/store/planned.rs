@@ -26,6 +26,9 @@ const COLUMNS: [(&str, DataType); 5] = [
 pub type Planned = BTreeMap<usize, [f64; 3]>;
 
 /// Reads planned states by scenario.
+///
+/// # Errors
+/// [`Error::Unfit`] when it is no Parquet file, a column is missing, or a row lacks a value or repeats a timestep.
 pub fn read_planned(path: &Path) -> Result<BTreeMap<String, Planned>> {
     if regular(path)?.is_dir() {
         return Err(unfit(path, "it is a folder, expected a Parquet file"));

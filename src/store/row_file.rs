@@ -102,6 +102,10 @@ pub fn read_table<T: TableRow>(path: &Path) -> Result<Vec<T>> {
 }
 
 /// Reads a table row by row, in the order in which it was written; the rows end after the first error.
+///
+/// # Errors
+/// [`Error::Corrupt`](super::Error::Corrupt) and [`Error::SchemaVersion`](super::Error::SchemaVersion) when the file is
+/// not such a table or a row is damaged; errors of the file system.
 pub fn stream_table<T: TableRow>(path: &Path) -> Result<impl Iterator<Item = Result<T>> + use<T>> {
     stream(path, &T::table(), T::decode)
 }

@@ -19,6 +19,10 @@ pub fn write_samples(path: &Path, records: &[ScenarioRecord]) -> Result<FileStam
 }
 
 /// Reads one shard of generated scenarios; lanes come from `maps`, such as the scene store they were generated from.
+///
+/// # Errors
+/// [`Error::Corrupt`](super::Error::Corrupt) and [`Error::SchemaVersion`](super::Error::SchemaVersion) when the file is
+/// not such a shard; errors of `maps` and of the file system.
 pub fn read_samples(path: &Path, maps: &dyn MapSource) -> Result<Vec<ScenarioRecord>> {
     let mut records = Vec::new();
     for batch in parquet_file::read(path, &sample::schema())? {

@@ -95,6 +95,9 @@ impl SceneManifest {
     }
 
     /// Reads the manifest of a scene store, without opening its shards.
+    ///
+    /// # Errors
+    /// [`Error::Unfinished`] when there is none, [`Error::SchemaVersion`] when it has another version.
     pub fn read(dir: &Path) -> Result<Self> {
         let path = dir.join(MANIFEST_FILE);
         if !path.is_file() {

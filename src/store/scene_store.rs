@@ -46,6 +46,10 @@ struct BatchPlace {
 
 impl SceneStore {
     /// Opens a finished store and verifies the checksums of all of its files.
+    ///
+    /// # Errors
+    /// [`Error::Unfinished`] without a manifest, [`Error::SchemaVersion`] when another version wrote it,
+    /// [`Error::Corrupt`] when a file is not as it was written.
     pub fn open(dir: &Path) -> Result<Self> {
         Self::open_all(&[dir])
     }
@@ -124,6 +128,9 @@ impl SceneStore {
     }
 
     /// Loads scene `i` with its lanes.
+    ///
+    /// # Errors
+    /// [`Error::NotFound`] when there are fewer; errors of its map.
     pub fn scene(&self, i: usize) -> Result<Scene> {
         let after = self.batches.partition_point(|batch| batch.first <= i);
         let Some(at) = after.checked_sub(1).filter(|_| i < self.len()) else {

@@ -48,6 +48,9 @@ struct OpenShard {
 impl SceneWriter {
     /// Continues the store in `dir`, which is created if it is missing, after the last finished shard, and returns its
     /// sidecar with the units done and the report so far; `None` if no shard is finished. Unfinished files are removed.
+    ///
+    /// # Errors
+    /// On I/O errors, or if a map cannot be read.
     pub fn resume(dir: &Path) -> Result<(Self, Option<ShardSidecar>)> {
         fs::create_dir_all(dir)?;
         let mut finished = Vec::new();
@@ -88,6 +91,9 @@ impl SceneWriter {
     }
 
     /// [`Scene::identity`] of each scene of the finished shards.
+    ///
+    /// # Errors
+    /// When a shard cannot be read.
     pub fn identities(&self) -> Result<BTreeSet<u128>> {
         let mut found = BTreeSet::new();
         for shard in &self.shards {

@@ -53,6 +53,9 @@ pub struct Spooled<T> {
 impl<T: DeserializeOwned> Spooled<T> {
     /// The values, in the order in which they were added; they end after the first error. They can be read more than
     /// once.
+    ///
+    /// # Errors
+    /// [`Error::Corrupt`] when the file is not as it was written; errors of the file system.
     pub fn values(&self) -> Result<impl Iterator<Item = Result<T>> + use<T>> {
         let mut file = BufReader::new(fs::File::open(&self.path)?);
         let (path, mut n_left) = (self.path.clone(), self.n_bytes);

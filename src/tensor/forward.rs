@@ -75,6 +75,9 @@ impl LeastProgress {
     }
 
     /// The clean estimate `x0` (B, A, T, D) of samples of `batch`, without motion backward.
+    ///
+    /// # Errors
+    /// When `x0` has another shape than the batch.
     pub fn kept(&self, x0: &Tensor, batch: &SceneBatch) -> Result<Tensor> {
         let n_other = x0.dim(3)? - 1;
         let along = x0.narrow(3, 0, 1)?;

@@ -33,6 +33,9 @@ impl PairFeatures {
     }
 
     /// The features of agents `pairs[b]` = (first, second) of row b, as places on the batch's agent axis.
+    ///
+    /// # Errors
+    /// Fails when there is not one pair per row or a place lies outside the agent axis.
     pub fn new(batch: &SceneBatch, pairs: &[(usize, usize)], parametrization: StateParametrization) -> Result<Self> {
         let (n_rows, n_agents, n_timesteps, _) = batch.x0.dims4()?;
         if pairs.len() != n_rows || pairs.iter().any(|(first, second)| (*first).max(*second) >= n_agents) {
@@ -78,6 +81,9 @@ impl PairFeatures {
     }
 
     /// The features (B, F) for diffused states `x` (B, A, T, D) at noise levels `sigma` (B).
+    ///
+    /// # Errors
+    /// Fails when shapes do not agree with the batch the features were made for.
     pub fn forward(&self, x: &Tensor, sigma: &Tensor) -> Result<Tensor> {
         let (n_rows, n_agents, n_timesteps, state_dim) = x.dims4()?;
         let x = x.reshape((n_rows * n_agents, n_timesteps, state_dim))?.index_select(&self.rows, 0)?;

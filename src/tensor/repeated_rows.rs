@@ -18,6 +18,9 @@ impl RepeatedRows {
     }
 
     /// The rows of a tensor (B, …): (B n, …). Differentiable.
+    ///
+    /// # Errors
+    /// Fails when the tensor has fewer rows, or the device runs out of memory.
     pub fn tensor(&self, tensor: &Tensor) -> Result<Tensor> {
         if self.n == 1 { Ok(tensor.clone()) } else { tensor.index_select(&self.sources, 0) }
     }

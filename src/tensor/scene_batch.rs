@@ -169,6 +169,9 @@ impl Surroundings {
 impl SceneBatch {
     /// Makes a batch of tensors after checking them against each other. Values are not read, because they may be on a
     /// GPU.
+    ///
+    /// # Errors
+    /// When the shape, type or device of a tensor does not fit `x0`; the message names the tensor.
     pub fn new(tensors: SceneTensors) -> Result<Self> {
         tensors.validate()?;
         Ok(Self(tensors))
@@ -205,11 +208,17 @@ impl SceneBatch {
 
     /// Positions and headings of diffused states `x` (B, A, T, D): (B, A, T, 3), meters and radians in each row's
     /// ego frame. Linear in `x`, and differentiable. Without a diffused heading (D = 2) the base heading is returned.
+    ///
+    /// # Errors
+    /// Fails when `x` has another shape than `x0`.
     pub fn decode(&self, x: &Tensor) -> Result<Tensor> {
         self.decode_offsets(x)? + &self.base
     }
 
     /// The linear part of [`decode`](Self::decode), which is added to the base, (B, A, T, 3).
+    ///
+    /// # Errors
+    /// Fails when `x` has another shape than `x0`.
     pub fn decode_offsets(&self, x: &Tensor) -> Result<Tensor> {
         let state_dim = x.dim(D::Minus1)?;
         let x = x.broadcast_mul(&self.latent.unsqueeze(3)?)?;

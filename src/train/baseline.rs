@@ -7,6 +7,9 @@ use crate::model::{SceneTransformerKind, SceneTransformerSpec};
 
 /// Trains a Scene Transformer and writes it to `model.safetensors` in the job's folder. Scenes, masks and scales are
 /// drawn as for a denoiser: with the same seed and settings, they are the same.
+///
+/// # Errors
+/// When there is no scene to train on, scenes differ in their timesteps, or training fails.
 pub fn train_baseline(
     training: &BaselineTraining,
     data: &TrainingData<'_>,

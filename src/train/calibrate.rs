@@ -10,6 +10,9 @@ use crate::nn::{Checkpoint, write_checkpoint};
 ///
 /// What is diffused is then white for them, as it was for the scenes that the denoiser was trained on: it samples the
 /// patterns of motion that it knows, with the spread and the texture of these recordings.
+///
+/// # Errors
+/// When there is no scene, scenes are not of the denoiser's shape, or too few of their tracks are complete.
 pub fn calibrate_denoiser(
     checkpoint: &Checkpoint<DenoiserSpec>,
     data: &TrainingData<'_>,

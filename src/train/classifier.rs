@@ -84,6 +84,9 @@ pub struct ClassifierReport {
 
 /// Trains the classifier that guides `denoiser`, or resumes its training, and writes it to `model.safetensors` in the
 /// job's folder, and its report to `classifier.json`.
+///
+/// # Errors
+/// When there are no pairs of one of the labels, or training fails.
 pub fn train_classifier(
     config: &ClassifierTrainingConfig,
     denoiser: &DenoiserSpec,

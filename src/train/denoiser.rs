@@ -58,6 +58,9 @@ impl TrainedFrom<'_> {
 /// weights of that checkpoint, keeps its scales but for those of motion (`Normalizer::for_motion_of`) unless `scales`
 /// says otherwise, and ends with the weights whose samples of held-out scenes had the least error. A training that is
 /// given time chooses its steps, learning rate and scales, and ends with `start` as it is if that is no worse.
+///
+/// # Errors
+/// When there is no scene to train on, scenes differ in their timesteps, `start` is of another kind, or training fails.
 pub fn train_denoiser(
     training: &DenoiserTraining,
     data: &TrainingData<'_>,

@@ -10,6 +10,10 @@ use crate::nn::{Checkpoint, Params};
 
 /// Distills the denoiser `teacher` and writes it to `model.safetensors` in the job's folder: a checkpoint of the same
 /// network, scales and limits that samples in few evaluations.
+///
+/// # Errors
+/// When there is no scene to train on, scenes are not of the teacher's shape, the method does not fit it,
+/// or training fails.
 pub fn distill_denoiser(
     training: &DistillTraining,
     data: &TrainingData<'_>,

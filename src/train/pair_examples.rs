@@ -29,6 +29,9 @@ pub struct PairExamples {
 
 impl PairExamples {
     /// The examples of `pairs`, which are ordered by scene.
+    ///
+    /// # Errors
+    /// When a scene cannot be loaded or lacks the tracks of its pairs.
     pub fn gather(dataset: &dyn SceneDataset, pairs: &[LabeledPair]) -> Result<Self, Error> {
         // Each scene is loaded once, and results are collected in order.
         let by_scene: Vec<&[LabeledPair]> = pairs.chunk_by(|a, b| a.scene_idx == b.scene_idx).collect();

@@ -12,6 +12,7 @@ use super::pairs::PairSearch;
 use super::sideways::CUT_IN;
 use super::swept_boxes::SweptBoxes;
 use super::{Behavior, BehaviorEvent, EventLabel, Outcome, Template};
+use crate::geometry::Vec2;
 use crate::scene::Scene;
 use crossing::{Crossing, LaneCrossing};
 use schemars::JsonSchema;
@@ -129,6 +130,13 @@ impl Default for CutIn {
     fn default() -> Self {
         Self { max_delay_s: 3.0, min_shift_m: 0.5, collision_free: false, hurry: 1.0 }
     }
+}
+
+/// At most `n` ways in which the second agent cuts in before the first, which must brake for it: when it is in the way,
+/// seconds after the present, and its positions at present and at each timestep after it.
+pub(super) fn closing(scene: &Scene, pair: [usize; 2], n: usize) -> Vec<(f64, Vec<Vec2>)> {
+    let cut_in = CutIn::default();
+    Search::new(&cut_in, scene, pair).and_then(|search| search.closing(n)).unwrap_or_default()
 }
 
 impl CutIn {

@@ -23,8 +23,9 @@ const IN_LANE_S: f64 = 0.2;
 const MOST_OFFSET_M: f64 = 0.6;
 /// Distances below this need no lane change, meters.
 const NOTHING_M: f64 = 0.01;
-/// The hardest deceleration of the ego, m/s².
-const HARDEST_MPS2: f64 = 5.0;
+/// The hardest deceleration of the ego, and the least that it must need, m/s².
+const HARDEST_MPS2: f64 = 6.5;
+const LEAST_NEEDED_MPS2: f64 = 0.5;
 /// The gap that the ego keeps to the other while braking, seconds and meters: the smaller one counts.
 const LEFT_S: f64 = 0.5;
 const LEFT_M: f64 = 2.0;
@@ -43,6 +44,8 @@ pub(super) struct Search<'a> {
     ego_idx: usize,
     other_idx: usize,
     pair: Pair,
+    /// The ego and those behind it, who need no room: they slow down with it.
+    behind: Vec<usize>,
 }
 
 impl<'a> Search<'a> {
@@ -50,12 +53,18 @@ impl<'a> Search<'a> {
     /// in the ego's lane or path already, does not head along it, or is too far to the side, ahead or behind.
     pub(super) fn new(cut_in: &'a CutIn, scene: &'a Scene, [ego_idx, other_idx]: [usize; 2]) -> Option<Self> {
         let pair = cut_in.pair(scene, ego_idx, other_idx)?;
-        Some(Self { cut_in, scene, lanes: SceneLanes::new(&scene.lanes), ego_idx, other_idx, pair })
+        let is_behind = |idx: &usize| {
+            let now = scene.state(*idx, scene.current_timestep()).filter(|now| pair.lane.holds(now.position));
+            let place = now.and_then(|now| pair.lane.project(now.position));
+            place.is_some_and(|place| place.station_m <= pair.own_station_m)
+        };
+        let behind = (0..scene.tracks.len()).filter(|idx| *idx == ego_idx || is_behind(idx)).collect();
+        Some(Self { cut_in, scene, lanes: SceneLanes::new(&scene.lanes), ego_idx, other_idx, pair, behind })
     }
 
     /// The outcomes of a cut-in for which a maneuver can be solved. The other moves over as fast as drivers do
     /// ([`CUT_IN`](crate::behavior::sideways::CUT_IN)) and, at its peak, with -4 to 2.5 m/s² along the lane. The ego
-    /// keeps its lane and brakes for the other with at most 5 m/s². No other agent is in the way if all of them
+    /// keeps its lane and brakes for the other with at most 6.5 m/s². No other agent is in the way if all of them
     /// continue straight. Before the scene ends, the other's center is in the lane and the ego reaches the place where
     /// the other came in. Only the past and the map are used.
     pub(super) fn outcomes(&self) -> Option<Vec<Outcome>> {
@@ -83,6 +92,23 @@ impl<'a> Search<'a> {
         Some(templates)
     }
 
+    /// At most `n` ways in which the other comes in for which the ego must brake: when its box enters the path, seconds
+    /// after the present, and its positions at present and at each timestep after it.
+    pub(super) fn closing(&self, n: usize) -> Option<Vec<(f64, Vec<Vec2>)>> {
+        let mut plans = self.cut_in.plans(&self.pair)?;
+        let needed_mps2 = |plan: &CutInPlan| {
+            let closing_mps = plan.outcome.get("relative_speed_mps").unwrap_or_default().max(0.0);
+            closing_mps.powi(2) / (2.0 * plan.outcome.get("gap_m").unwrap_or(f64::INFINITY))
+        };
+        plans.retain(|plan| needed_mps2(plan) >= LEAST_NEEDED_MPS2);
+        plans.sort_by(|a, b| needed_mps2(b).total_cmp(&needed_mps2(a)));
+        let tried = (0..plans.len()).map(|i| (&plans[spread(i, plans.len())], STYLES[i % STYLES.len()]));
+        let found = tried.filter_map(|(plan, style)| {
+            Some((plan.time_s, self.way(plan, style)?.positions(self.scene, self.other_idx)?))
+        });
+        Some(found.take(n).collect())
+    }
+
     /// The way to follow a plan with nobody in the way.
     fn way(&self, plan: &CutInPlan, style: Style) -> Option<Template> {
         let Self { scene, ref pair, ego_idx, other_idx, .. } = *self;
@@ -97,8 +123,8 @@ impl<'a> Search<'a> {
             && template.is_drivable(scene)
             && template.keeps_road(scene, &self.lanes)
             && template.keeps_apart(scene)
-            && template.is_clear(scene, InTheWay::Everybody)
-            && has_room(scene, other_idx, (over.midway_s(), &positions), &[ego_idx]);
+            && template.is_clear(scene, InTheWay::Ahead)
+            && has_room(scene, other_idx, (over.midway_s(), &positions), &self.behind);
         is_possible.then_some(template)
     }
 }

@@ -45,7 +45,7 @@ const BRAKING_JERK_MPS3: f64 = 10.0;
 const EASING_JERK_MPS3: f64 = 2.5;
 /// The change of acceleration where a brake is pressed without haste, and where hard braking is let go of, m/s³.
 const UNHURRIED_JERK_MPS3: f64 = 3.0;
-const RELEASE_JERK_MPS3: f64 = 5.0;
+pub(crate) const RELEASE_JERK_MPS3: f64 = 5.0;
 /// Braking beyond this is urgent, m/s².
 const URGENT_MPS2: f64 = 4.45;
 /// More than an agent leaves the places of its rail: drifting aside, or beyond the last.

@@ -13,6 +13,7 @@ mod lane_change;
 mod moving_over;
 mod passing_ahead;
 mod pedestrian_steps_out;
+mod reason;
 mod runs_stop_line;
 mod tailgating;
 #[cfg(test)]
@@ -22,8 +23,10 @@ mod unprotected_left_turn;
 mod ways;
 mod wrong_way;
 
+pub(crate) use driver::RELEASE_JERK_MPS3;
 pub(super) use driver::{Driver, ORDINARY_MPS2, Pace, SLOWER_MPS, STANDS_MPS, building_up_s};
 pub(super) use moving_over::has_room;
+pub(super) use reason::{Others, Slowing, slowing};
 pub(super) use turn::maneuvers as turn_maneuvers;
 
 use super::lane_relation::SceneLanes;
@@ -55,8 +58,8 @@ pub struct Maneuver {
     pub(super) in_the_way: Option<InTheWay>,
     /// The positions of each agent, in the order of the roles: at present, and at each timestep after it.
     pub(super) positions: Vec<Vec<Vec2>>,
-    /// Other agents that the event happens because of, with their positions.
-    pub(super) others: Vec<(usize, Vec<Vec2>)>,
+    /// Other agents that the event happens because of.
+    pub(super) others: Others,
 }
 
 /// A maneuver that works, with its outcome.
@@ -64,7 +67,7 @@ pub struct Maneuver {
 pub(super) struct Plan {
     pub(super) outcome: Outcome,
     positions: Vec<Vec<Vec2>>,
-    others: Vec<(usize, Vec<Vec2>)>,
+    others: Others,
 }
 
 /// The plans by which `agents` show `behavior`, easiest first: maneuvers in which nobody leaves the road, accelerates

@@ -14,11 +14,14 @@ use std::f64::consts::FRAC_PI_4;
 const ALONG_RAD: f64 = FRAC_PI_4;
 /// The least speed at which vehicles move over, m/s.
 const LEAST_SPEED_MPS: f64 = 2.0;
-/// When moving over begins, seconds.
-const BEGINS_S: [f64; 3] = [0.0, 0.5, 1.0];
-/// The least headway in the new lane, seconds; how hard the faster of two agents slows down there, m/s²; and the least
-/// distance between two bodies on the way, meters.
+/// When moving over begins, earlier by up to this, as drivers differ, seconds.
+const BEGINS_S: [f64; 3] = [0.3, 0.9, 1.5];
+const EARLIER_S: f64 = 0.3;
+/// The least headway in the new lane, seconds, and from how long before being midway between the lanes on, when the
+/// first corner is over the line; how hard the faster of two agents slows down there, m/s²; and the least distance
+/// between two bodies on the way, meters.
 const ROOM_S: f64 = 0.7;
+const OVER_LINE_S: f64 = 0.5;
 const ORDINARY_BRAKING_MPS2: f64 = 2.0;
 const CLEARANCE_M: f64 = 0.6;
 /// Accelerations along the lane, m/s², and how long they last, seconds.
@@ -75,7 +78,7 @@ impl MovingOver {
 /// Whether an agent that is midway between two lanes after this many seconds, and at these positions at present and at
 /// each timestep after it, has room beside all agents but `others`, if they keep their speeds: none closer than
 /// [`CLEARANCE_M`], and in its new lane a headway of [`ROOM_S`] to the agents ahead and behind, beyond the distance in
-/// which the faster one slows down to the other.
+/// which the faster one slows down to the other, from [`OVER_LINE_S`] before that on.
 pub(in crate::behavior) fn has_room(
     scene: &Scene,
     agent_idx: usize,
@@ -98,7 +101,7 @@ pub(in crate::behavior) fn has_room(
             let speeds_mps = [moved.norm() / scene.dt_s, now.velocity.dot(forward)];
             let [ahead_mps, behind_mps] = if along_m > 0.0 { [speeds_mps[1], speeds_mps[0]] } else { speeds_mps };
             let slows_m = (behind_mps - ahead_mps).max(0.0).powi(2) / (2.0 * ORDINARY_BRAKING_MPS2);
-            (step as f64 * scene.dt_s) < midway_s
+            (step as f64 * scene.dt_s) < midway_s - OVER_LINE_S
                 || aside_m > (own.width_m + their.width_m) / 2.0
                 || gap_m > ROOM_S * behind_mps.max(0.0) + slows_m
         });
@@ -146,7 +149,9 @@ fn over_to(scene: &Scene, driver: &Driver, target: &KeptLane, side: f64, manner:
         let on_target: Option<Vec<Vec2>> =
             on_own.iter().map(|at| target.point_at(target.project(*at)?.station_m)).collect();
         let Some(on_target) = on_target else { continue };
-        for (begins_s, over) in BEGINS_S.iter().flat_map(|b| manner.ways(aside_m, 1.0).map(move |over| (*b, over))) {
+        let begins_s = BEGINS_S.map(|begins_s| begins_s - EARLIER_S * driver.style);
+        for (begins_s, over) in begins_s.into_iter().flat_map(|b| manner.ways(aside_m, 1.0).map(move |over| (b, over)))
+        {
             let lasts_s = over.takes_s().min(driven_m.len() as f64 * scene.dt_s - begins_s);
             let driven_m = |until_s: f64| driven_m[((until_s / scene.dt_s) as usize).clamp(1, driven_m.len()) - 1];
             let along_m = driven_m(begins_s + lasts_s) - if begins_s > 0.0 { driven_m(begins_s) } else { 0.0 };

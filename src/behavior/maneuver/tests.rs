@@ -23,7 +23,11 @@ fn possible() -> Vec<(&'static str, Scene, Vec<usize>)> {
     beside_the_road.tracks[1].extent = None;
     let crossing = [drive(0.0, 0.0, 8.0), Drive::straight(20.0, -20.0, std::f64::consts::FRAC_PI_2, 8.0)];
     vec![
-        ("hard_brake", going_on(&[drive(0.0, 0.0, 10.0), drive(15.0, 0.0, 9.0)], two_lanes()), vec![0]),
+        (
+            "hard_brake",
+            going_on(&[drive(0.0, 0.0, 10.0), drive(15.0, 0.0, 9.0), drive(36.0, 0.0, 1.0)], two_lanes()),
+            vec![0],
+        ),
         ("lane_change", going_on(&alone(), two_lanes()), vec![0]),
         ("cut_in", going_on(&[drive(0.0, 0.0, 10.0), drive(16.0, 3.5, 9.0)], two_lanes()), vec![0, 1]),
         ("left_turn", going_on(&[drive(8.0, 0.0, 7.0)], fork()), vec![0]),
@@ -96,6 +100,8 @@ fn who_cannot_show_a_behavior_has_no_template() {
         ("hard_brake", going_on(&[drive(0.0, 0.0, 2.0), drive(8.0, 0.0, 0.0)], two_lanes()), vec![0]),
         // There is nothing to brake for.
         ("hard_brake", going_on(&[drive(0.0, 0.0, 10.0)], two_lanes()), vec![0]),
+        // Nor for the one ahead, at which it would drive on close behind.
+        ("hard_brake", going_on(&[drive(0.0, 0.0, 10.0), drive(15.0, 0.0, 9.0)], two_lanes()), vec![0]),
         ("lane_change", going_on(&[drive(0.0, 0.0, 10.0)], LaneGraph::default()), vec![0]),
         // Another vehicle drives beside.
         ("lane_change", going_on(&[drive(0.0, 0.0, 10.0), drive(0.0, 3.5, 10.0)], two_lanes()), vec![0]),
@@ -302,7 +308,8 @@ fn who_heads_off_its_lane_turns_along_it_and_does_not_swing_back() {
     let mut n_found = 0;
     for (heading_rad, speed_mps, headway_s) in [(0.1, 8.0, 0.8), (-0.08, 12.0, 0.8), (0.2, 4.0, 1.5), (0.1, 8.0, 1.2)] {
         let ahead = drive(5.0 + headway_s * speed_mps, 0.0, speed_mps);
-        let scene = going_on(&[Drive::straight(0.0, 0.0, heading_rad, speed_mps), ahead], two_lanes());
+        let slow = drive(30.0 + headway_s * speed_mps, 0.0, 2.0);
+        let scene = going_on(&[Drive::straight(0.0, 0.0, heading_rad, speed_mps), ahead, slow], two_lanes());
         let present = *scene.state(0, scene.current_timestep()).unwrap();
         for states in driven("hard_brake", &scene, &[0]) {
             let aside: Vec<f64> =
@@ -370,7 +377,7 @@ fn who_moves_over_one_way_does_not_change_lanes_the_other_way() {
 #[test]
 fn who_brakes_already_does_not_let_go_before_it_brakes_hard() {
     let all = [14.0, 16.0, 18.0, 20.0].map(|x| {
-        let mut scene = going_on(&[drive(0.0, 0.0, 14.0), drive(x, 0.0, 11.0)], two_lanes());
+        let mut scene = going_on(&[drive(0.0, 0.0, 14.0), drive(x, 0.0, 11.0), drive(x + 24.0, 0.0, 3.0)], two_lanes());
         accelerating(&mut scene, 0, -2.0);
         driven("hard_brake", &scene, &[0])
     });
@@ -517,7 +524,7 @@ fn a_leader_brakes_to_a_stand_only_if_there_is_something_to_stop_for() {
         states.iter().flat_map(|states| &states[0]).map(State::speed_mps).fold(f64::INFINITY, f64::min)
     };
     let (own, leader) = (drive(0.0, 0.0, 12.0), drive(14.0, 0.0, 11.0));
-    assert!(slowest_mps(&[own, leader], two_lanes()) > 4.0);
+    assert!(slowest_mps(&[own, leader, drive(30.0, 0.0, 6.0)], two_lanes()) > 3.0);
     assert!(slowest_mps(&[own, drive(20.0, 0.0, 11.0), drive(50.0, 0.0, 0.0)], two_lanes()) < 2.0);
 }
 

@@ -25,6 +25,24 @@ impl Drive {
         Self { effort, driven_m: travel.driven_m, speeds_mps: travel.speeds_mps, outer, inner }
     }
 
+    /// The drive over these positions, at present and at each timestep after it.
+    pub(super) fn over(positions: &[Vec2], extents: [Extent; 2], dt_s: f64) -> Self {
+        let steps: Vec<Vec2> = positions.windows(2).map(|pair| pair[1] - pair[0]).collect();
+        let boxes = |Extent { length_m, width_m }: Extent| {
+            let places = positions[1..].iter().zip(&steps);
+            places.map(|(at, step)| Footprint::along(*at, step.unit(), [length_m, width_m])).collect()
+        };
+        let mut driven_m = 0.0;
+        let driven = steps.iter().map(|step| {
+            driven_m += step.norm();
+            driven_m
+        });
+        let driven_m = driven.collect();
+        let [outer, inner] = extents.map(boxes);
+        let speeds_mps = steps.iter().map(|step| step.norm() / dt_s).collect();
+        Self { effort: 0.0, driven_m, speeds_mps, outer, inner }
+    }
+
     pub(super) fn velocity(&self, step: usize) -> Vec2 {
         self.outer[step].forward * self.speeds_mps[step]
     }

@@ -6,9 +6,12 @@ use super::body::{FOLLOWING_RAD, extents};
 use super::config::MIN_SPEED_MPS;
 use super::drive::Drive;
 use crate::behavior::cause::{COMFORTABLE_MPS2, MOST_LATE_S};
+use crate::behavior::cut_in;
 use crate::behavior::footprint::Footprint;
 use crate::behavior::lane_relation::SceneLanes;
-use crate::behavior::maneuver::{Driver, Maneuver, Pace, SLOWER_MPS, STANDS_MPS, building_up_s};
+use crate::behavior::maneuver::{
+    Driver, Maneuver, Others, Pace, SLOWER_MPS, STANDS_MPS, Slowing, building_up_s, slowing,
+};
 use crate::behavior::template::follows;
 use crate::behavior::time_to_collision::time_to_collision_s;
 use crate::geometry::Vec2;
@@ -22,10 +25,16 @@ const BRAKES_AT_S: [f64; 5] = [0.6, 0.8, 1.0, 1.2, 1.4];
 const BRAKES_MPS2: [f64; 4] = [4.5, 5.4, 6.3, 7.0];
 /// The earliest time of braking after the present, seconds.
 const SOONEST_S: f64 = 0.3;
-/// Gas that is given, for how long, and the latest that drivers slow down without a visible reason, m/s² and seconds.
+/// Gas that is given, for how long, and the latest that drivers begin to slow down for what is there at present, m/s²
+/// and seconds.
 const GAS_MPS2: [f64; 2] = [0.6, 1.25];
 const GAS_S: f64 = 3.0;
 const SLOWS_S: f64 = 1.2;
+/// How soon somebody who cuts in is reacted to that is in the way, seconds: see
+/// [`REACTIONS_S`](crate::behavior::limits::REACTIONS_S).
+const SEES_S: f64 = 0.4;
+/// How many ways to cut in are tried.
+const N_CUTTING_IN: usize = 40;
 /// Safety margin of the time to collision, seconds: the simulated drive and the template differ slightly.
 const SPARE_S: f64 = 0.1;
 /// Safety margin of the lateness of braking, seconds: it builds up, and leaves a gap.
@@ -41,6 +50,8 @@ const STRIDE: usize = 2;
 /// A pair, known from the past and the map.
 struct Search<'a> {
     behavior: &'a NearMiss,
+    scene: &'a Scene,
+    agents: [usize; 2],
     drivers: [Driver; 2],
     /// The box of each, and the inner part of it.
     extents: [[Extent; 2]; 2],
@@ -55,19 +66,25 @@ struct Search<'a> {
 /// the speed that it loses.
 type Braking = ([usize; 4], [u64; 2]);
 
-/// A drive, its rail and pace, and the first step at which another agent is in the way.
+/// A drive, and the first step at which another agent is in the way.
 struct PlannedDrive {
-    rail: usize,
-    pace: (usize, Pace),
+    /// The rail, and the pace with its number; `None` for one that cuts in.
+    along: Option<(usize, (usize, Pace))>,
+    /// The positions at present and at each timestep after it.
+    positions: Vec<Vec2>,
+    /// When the other can react to it at the soonest, seconds after the present.
+    seen_s: f64,
     drive: Drive,
     clear: usize,
+    /// Those who move so that there is a reason for the pace.
+    others: Others,
 }
 
 impl NearMiss {
     /// Ways in which two agents may come to a near miss. Either one brakes hard, at a time to collision that is then
     /// the smallest (`min_ttc_s`), or nobody brakes and one crosses shortly after the other (`pet_s`). Until then they
-    /// give gas with at most 1.25 m/s² or slow down as drivers do without a reason that is seen, and no other agent is
-    /// in the way.
+    /// give gas with at most 1.25 m/s² or slow down: the one ahead of another for a reason that is seen, those who cross
+    /// as drivers do without one. No other agent is in the way.
     pub(super) fn drafts(&self, scene: &Scene, agents: [usize; 2]) -> Vec<Maneuver> {
         let takes_part = |agent_idx: &usize| {
             let track = &scene.tracks[*agent_idx];
@@ -79,7 +96,7 @@ impl NearMiss {
 }
 
 impl<'a> Search<'a> {
-    fn new(behavior: &'a NearMiss, scene: &Scene, agents: [usize; 2]) -> Option<Self> {
+    fn new(behavior: &'a NearMiss, scene: &'a Scene, agents: [usize; 2]) -> Option<Self> {
         let lanes = SceneLanes::new(&scene.lanes);
         let [first, second] = agents.map(|agent_idx| Driver::new(scene, &lanes, agent_idx));
         let mut drivers = [first?, second?];
@@ -94,33 +111,36 @@ impl<'a> Search<'a> {
             return None;
         }
         let others = [&drivers[0], &drivers[1]].map(|driver| others(scene, agents, driver));
-        Some(Self { behavior, drivers, extents, others, dt_s: scene.dt_s, braked: RefCell::default() })
+        let dt_s = scene.dt_s;
+        Some(Self { behavior, scene, agents, drivers, extents, others, dt_s, braked: RefCell::default() })
     }
 
     fn drafts(&self) -> Vec<Maneuver> {
-        let courses = [0, 1].map(|who| -> Vec<PlannedDrive> {
-            let driver = &self.drivers[who];
-            let steady = Pace::steady(0.0);
-            let gas = GAS_MPS2.map(|mps2| Pace::steady(mps2).then(GAS_S, 0.0));
-            let slowing = driver.slowing(&steady, SLOWS_S * driver.style);
-            let paces: Vec<Pace> = [steady].into_iter().chain(gas).chain(slowing).collect();
-            let rails = 0..driver.rails.len();
-            let tried = rails.flat_map(|rail| paces.iter().enumerate().map(move |pace| (rail, pace)));
-            tried.map(|(rail, (nth, pace))| self.course(who, rail, (nth, pace.clone()), pace.effort())).collect()
-        });
-        // A leader that slows down for a reason out of sight, with nobody in its way, is the last resort.
+        let lanes = SceneLanes::new(&self.scene.lanes);
         let [own, other] =
             [&self.drivers[0].state, &self.drivers[1].state].map(|now| Vec2::from_angle(now.heading_rad));
         let follows = own.dot(other) > FOLLOWING_RAD.cos();
-        let is_seen = |who: usize, course: &PlannedDrive| {
-            let steady = courses[who].iter().find(|steady| steady.rail == course.rail && steady.pace.0 == 0);
-            let is_blocked = steady.is_some_and(|steady| steady.clear < steady.drive.outer.len());
-            !follows || course.pace.0 <= GAS_MPS2.len() || is_blocked
-        };
-        let (mut seen, mut unseen) = (Vec::new(), Vec::new());
+        let courses = [0, 1].map(|who| -> Vec<PlannedDrive> {
+            let driver = &self.drivers[who];
+            let (steady, slows_s) = (Pace::steady(0.0), SLOWS_S * driver.style);
+            let gas = GAS_MPS2.map(|mps2| Pace::steady(mps2).then(GAS_S, 0.0));
+            let crossing = driver.slowing(&steady, slows_s).into_iter().filter(|_| !follows);
+            let anyway: Vec<Pace> = [steady.clone()].into_iter().chain(gas).chain(crossing).collect();
+            let along =
+                |rail: usize| anyway.iter().map(move |pace| Slowing { rail, pace: pace.clone(), others: Vec::new() });
+            let [agent_idx, behind] = [self.agents[who], self.agents[1 - who]];
+            let seen = follows.then(|| slowing(self.scene, &lanes, (agent_idx, driver), slows_s, behind));
+            let all = (0..driver.rails.len()).flat_map(along).chain(seen.into_iter().flatten()).enumerate();
+            let course = |(nth, Slowing { rail, pace, others }): (usize, Slowing)| {
+                let effort = pace.effort();
+                PlannedDrive { others, ..self.course(who, rail, (nth, pace), effort) }
+            };
+            let cutting_in = follows.then(|| self.cutting_in(who)).into_iter().flatten();
+            all.map(course).chain(cutting_in).collect()
+        });
+        let mut drafts = Vec::new();
         for own in &courses[0] {
             for others in &courses[1] {
-                let drafts = if is_seen(0, own) && is_seen(1, others) { &mut seen } else { &mut unseen };
                 match own.drive.meets(&others.drive) {
                     None => drafts.extend(self.crossed([own, others])),
                     Some(step) => {
@@ -130,15 +150,35 @@ impl<'a> Search<'a> {
                 }
             }
         }
-        if seen.is_empty() { unseen } else { seen }
+        drafts
     }
 
     fn course(&self, who: usize, rail: usize, pace: (usize, Pace), effort: f64) -> PlannedDrive {
         let drive = Drive::new(&self.drivers[who], rail, &pace.1, (effort, self.extents[who]));
+        let positions = self.drivers[who].positions(rail, &drive.driven_m);
+        self.planned(who, drive, positions, Some((rail, pace)))
+    }
+
+    /// The ways in which one of the two cuts in before the other.
+    fn cutting_in(&self, who: usize) -> impl Iterator<Item = PlannedDrive> {
+        let ways = cut_in::closing(self.scene, [self.agents[1 - who], self.agents[who]], N_CUTTING_IN);
+        ways.into_iter().map(move |(time_s, positions)| {
+            let drive = Drive::over(&positions, self.extents[who], self.dt_s);
+            PlannedDrive { seen_s: time_s + SEES_S, ..self.planned(who, drive, positions, None) }
+        })
+    }
+
+    fn planned(
+        &self,
+        who: usize,
+        drive: Drive,
+        positions: Vec<Vec2>,
+        along: Option<(usize, (usize, Pace))>,
+    ) -> PlannedDrive {
         let steps = (0..drive.outer.len()).step_by(STRIDE);
         let is_blocked = |step: &usize| self.others[who][*step].iter().any(|other| other.overlaps(&drive.outer[*step]));
         let clear = steps.into_iter().find(is_blocked).unwrap_or(drive.outer.len());
-        PlannedDrive { rail, pace, drive, clear }
+        PlannedDrive { along, positions, seen_s: SOONEST_S, drive, clear, others: Vec::new() }
     }
 
     /// Two agents that would meet at `meets`; the evader brakes at a time to collision of `at_s` and avoids it. As its
@@ -149,7 +189,8 @@ impl<'a> Search<'a> {
         let n_before = (at_s / self.dt_s).round() as usize;
         let begins = meets.checked_sub(n_before)?;
         let at_once_s = (begins + 1) as f64 * self.dt_s;
-        if at_once_s < SOONEST_S || own.clear <= begins || other.clear < other.drive.outer.len() {
+        let (rail, (nth, pace)) = own.along.as_ref()?;
+        if at_once_s < other.seen_s || own.clear <= begins || other.clear < other.drive.outer.len() {
             return None;
         }
         let velocities = [own.drive.velocity(begins), other.drive.velocity(begins)];
@@ -159,7 +200,6 @@ impl<'a> Search<'a> {
         // Who looks too late at somebody ahead gives no gas, and looks up in time for an ordinary mistake.
         let is_behind = own.drive.outer[begins].forward.dot(other.drive.outer[begins].forward) > FOLLOWING_RAD.cos();
         let late_s = relative_mps / (2.0 * COMFORTABLE_MPS2) - at_s;
-        let (nth, pace) = &own.pace;
         let is_ordinary = !is_behind || (pace.at(0.0) <= 0.0 && late_s < MOST_LATE_S - SPARE_LATE_S);
         if !is_ordinary || !self.behavior.is_urgent(straight_s.max(at_s) + SPARE_S, relative_mps) {
             return None;
@@ -174,12 +214,15 @@ impl<'a> Search<'a> {
         tried.into_iter().find_map(|(deceleration_mps2, loses_mps)| {
             let building_up_s = building_up_s(pace.at(at_once_s), -deceleration_mps2);
             let from_s = (at_once_s - building_up_s / 2.0).max(SOONEST_S);
-            let key = ([evader, own.rail, *nth, begins], [deceleration_mps2, loses_mps].map(f64::to_bits));
+            let key = ([evader, *rail, *nth, begins], [deceleration_mps2, loses_mps].map(f64::to_bits));
             let braking = match loses_mps < own_mps {
                 true => pace.clone().losing(from_s, deceleration_mps2, loses_mps),
                 false => pace.clone().then(from_s, -deceleration_mps2),
             };
-            let course = || self.course(evader, own.rail, (*nth, braking), own.drive.effort);
+            let course = || PlannedDrive {
+                others: own.others.clone(),
+                ..self.course(evader, *rail, (*nth, braking), own.drive.effort)
+            };
             let braked = Rc::clone(self.braked.borrow_mut().entry(key).or_insert_with(|| Rc::new(course())));
             let helps = braked.clear == braked.drive.outer.len() && braked.drive.keeps(&other.drive, APART_M);
             let pair = if evader == 0 { [&*braked, other] } else { [other, &*braked] };
@@ -208,15 +251,14 @@ impl<'a> Search<'a> {
     }
 
     fn draft(&self, kind: [usize; 2], parameters: &'static [&'static str], courses: [&PlannedDrive; 2]) -> Maneuver {
-        let positions = |who: usize| self.drivers[who].positions(courses[who].rail, &courses[who].drive.driven_m);
         let effort = courses[0].drive.effort.max(courses[1].drive.effort);
         Maneuver {
             kind,
             effort,
             parameters,
             in_the_way: None,
-            positions: [0, 1].map(positions).into(),
-            others: Vec::new(),
+            positions: courses.map(|course| course.positions.clone()).into(),
+            others: courses.iter().flat_map(|course| course.others.iter().cloned()).collect(),
         }
     }
 }

@@ -78,6 +78,9 @@ impl Generator<'_> {
     /// The cells of a request, from scenes in random order that have a suitable pair, or from the scenes with the best
     /// pairs, depending on its `pairs`. Places and classes that `where` rules out are excluded. Where there are none,
     /// or none can reach a bucket, the pool says why: other requests can still be fulfilled.
+    ///
+    /// # Errors
+    /// When a scene cannot be loaded.
     pub fn pool(&self, request: &ResolvedRequest, index: &SceneIndex) -> Result<Pool, Error> {
         self.filled_pool(request, index).or_else(|error| {
             let n_infeasible = match &error {

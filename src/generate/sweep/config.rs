@@ -170,8 +170,8 @@ pub enum Aim {
     /// Each sample aims at a different outcome that its pair can still reach, given its past and the limits of driving;
     /// easy outcomes come more often. Samples of a pair then differ in parameters such as gap and relative speed.
     Feasible,
-    /// As `feasible`, but events that only just can be avoided come more often: those that close a gap in little more
-    /// time than UN Regulation No. 157 (paragraph 5.2.5.2) leaves to react. All others come alike: events without
-    /// `gap_m` and `relative_speed_mps`, and those that close no gap.
+    /// As `feasible`, but only events that are hard to avoid: those that close a gap in at most 2.5 s more than UN
+    /// Regulation No. 157 (paragraph 5.2.5.2) leaves to react, harder ones more often. Pairs that can show none are left
+    /// out. Events without `gap_m` and `relative_speed_mps` come alike.
     Hard,
 }

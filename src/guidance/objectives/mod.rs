@@ -179,6 +179,9 @@ impl ObjectiveConfig {
     }
 
     /// The log potential of each row, (B): [`SceneObjective::log_potential`].
+    ///
+    /// # Errors
+    /// When shapes do not fit, or no agent has a role.
     pub fn log_potential(&self, states: &Tensor, context: &SceneContext) -> Result<Tensor> {
         self.objective().log_potential(&self.agents(), states, context)
     }

@@ -36,6 +36,9 @@ pub type Visitor<'a> = dyn FnMut(&Entry, &mut dyn BufRead) -> Result<ControlFlow
 ///
 /// Other entries are not opened (in a `.tar.gz` they still have to be decompressed). Hidden files, links inside
 /// archives, and companion files of macOS are skipped.
+///
+/// # Errors
+/// An input that does not exist or cannot be read, a container that is damaged or cut short, and errors of `visit`.
 pub fn visit_entries(inputs: &[PathBuf], wanted: &dyn Fn(&str) -> bool, visit: &mut Visitor<'_>) -> Result<(), Error> {
     for input in inputs {
         if visit_input(input, wanted, visit)?.is_break() {

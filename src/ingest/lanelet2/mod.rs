@@ -35,6 +35,10 @@ const MAX_TAG_BYTES: usize = 64 * 1024 * 1024;
 /// Reads a Lanelet2 map: its vehicle lanes in the frame of the recordings, and a report of its defects.
 ///
 /// Incomplete lanelets, and those that cannot be lanes, are left out and reported.
+///
+/// # Errors
+/// [`Error::Map`], naming `file` and line, when the document is not well-formed, has a document type, exceeds a limit,
+/// or when no lane remains.
 pub fn read_map(reader: &mut dyn BufRead, file: &str) -> Result<(LaneGraph, MapReport), Error> {
     let error = |what: String| Error::map(file, "", what);
     let text = read_text(reader, MAX_MAP_BYTES, file)?;

@@ -115,6 +115,9 @@ pub fn cross_attention(
 
 /// The states of `valid` (B, A, T) whose map has a valid lane in `lane_valid` (M, L), for which cross-attention has
 /// keys.
+///
+/// # Errors
+/// When M does not divide B.
 pub fn rows_with_keys(valid: &Tensor, lane_valid: &Tensor) -> Result<Tensor> {
     let (n_batch, n_agents, n_timesteps) = valid.dims3()?;
     let (n_maps, n_lanes) = lane_valid.dims2()?;

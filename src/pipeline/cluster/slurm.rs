@@ -63,6 +63,9 @@ pub fn script(graph: &JobGraph, job: &Job, cluster: &ClusterConfig) -> String {
 }
 
 /// Submits the jobs to Slurm, each with its dependencies. Returns them with the numbers that Slurm assigned.
+///
+/// # Errors
+/// When `sbatch` cannot be started or refuses a job.
 pub fn submit(graph: &JobGraph, cluster: &ClusterConfig) -> Result<Vec<Submitted>> {
     fs_err::create_dir_all(graph.directory.join(&graph.run_folder).join(OUTPUTS)).blame_input()?;
     let mut ids: BTreeMap<&str, String> = BTreeMap::new();

@@ -37,6 +37,9 @@ const DESCRIBERS: [Describer; 7] = [
 ];
 
 /// Describes the content of the file or folder at `path`.
+///
+/// # Errors
+/// When nothing is there, when djinn did not write it, or when it is damaged.
 pub fn inspect(path: &Path) -> Result<Description> {
     regular(path).map_err(Failure::input)?;
     for describe in DESCRIBERS {

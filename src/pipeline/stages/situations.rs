@@ -28,7 +28,7 @@ impl Stage for Situations<'_> {
     }
 
     fn version(&self) -> u32 {
-        5
+        6
     }
 
     fn check(&self) -> Result<()> {

@@ -4,6 +4,7 @@
 //! about as a human does.
 
 use super::{at_stations, future, replace, stations};
+use crate::behavior::RELEASE_JERK_MPS3;
 use crate::geometry::{OrientedBox, Vec2, angle_difference};
 use crate::metrics::eased_mps2;
 use crate::scene::{Scene, State};
@@ -17,8 +18,14 @@ const PRESSED_S: f64 = 0.5;
 const LEAST_JERK_MPS3: f64 = 4.0;
 /// The jerk of the end of braking, m/s³: from 1 m/s, a vehicle comes to a stand within 0.45 s.
 const ENDS_MPS3: f64 = 10.0;
-/// Braking ends after a multiple of this, seconds.
+/// Braking ends after a multiple of this, seconds; until then, it fades to this share, as that of drivers does who see
+/// that it helps, unless it is harder than the last, m/s².
 const BRAKES_S: f64 = 0.5;
+const FADES_TO: f64 = 0.5;
+const FADING_MPS2: f64 = 4.0;
+/// How often the weakest such deceleration is looked for halfway between one that suffices and one that does not: harder
+/// ones keep their reserve.
+const N_HALVINGS: usize = 3;
 /// Who follows another, with headings that differ by less than this, radians, must not touch it for this long, seconds,
 /// after the end of the future either, at the velocities of then.
 const FOLLOWS_RAD: f64 = 0.5;
@@ -67,9 +74,15 @@ fn avoiding(situation: &Situation, scene: &Scene, agent_idx: usize, own: &[State
     let braked = |mps2: f64, lasts_s: f64| braked(own, from_mps2, Braking { mps2, lasts_s }, dt_s);
     let suffices = |own: &Vec<State>| !drives_into_another(situation, scene, (agent_idx, own), MARGIN_M);
     let horizon_s = own.len() as f64 * dt_s;
-    let Some(mps2) = BRAKES_MPS2.into_iter().find(|mps2| suffices(&braked(*mps2, horizon_s))) else {
-        return braked(FULL_MPS2, horizon_s);
+    let Some(found) = BRAKES_MPS2.into_iter().position(|mps2| suffices(&braked(mps2, horizon_s))) else {
+        return braked(FULL_MPS2, f64::INFINITY);
     };
+    let weaker_mps2 = found.checked_sub(1).map_or(0.0, |weaker| BRAKES_MPS2[weaker]);
+    let n_halvings = if BRAKES_MPS2[found] > FADING_MPS2 { 0 } else { N_HALVINGS };
+    let [_, mps2] = (0..n_halvings).fold([weaker_mps2, BRAKES_MPS2[found]], |[weaker, enough], _| {
+        let between = f64::midpoint(weaker, enough);
+        if suffices(&braked(between, horizon_s)) { [weaker, between] } else { [between, enough] }
+    });
     let n_shorter = (horizon_s / BRAKES_S) as usize;
     let mut shorter = (1..=n_shorter).map(|n| braked(mps2, n as f64 * BRAKES_S));
     shorter.find(suffices).unwrap_or_else(|| braked(mps2, horizon_s))
@@ -127,12 +140,15 @@ fn braked(states: &[State], from_mps2: f64, braking: Braking, dt_s: f64) -> Vec<
     let (mut speed_mps, mut station_m) = (states.first().map_or(0.0, State::speed_mps), 0.0);
     let mut acceleration_mps2 = from_mps2;
     let then = stations.iter().enumerate().skip(1).map(|(step, driven_m)| {
-        let is_wanted = (step as f64 - 0.5) * dt_s < braking.lasts_s;
+        let elapsed_s = (step as f64 - 0.5) * dt_s;
         let most_mps2 = (2.0 * ENDS_MPS3 * speed_mps).sqrt();
-        let wanted_mps2 = if is_wanted { -braking.mps2.min(most_mps2) } else { 0.0 };
+        let fades_by = if braking.mps2 > FADING_MPS2 { 0.0 } else { 1.0 - FADES_TO };
+        let fades = 1.0 - fades_by * elapsed_s / braking.lasts_s;
+        let wanted_mps2 = if elapsed_s < braking.lasts_s { -(braking.mps2 * fades).min(most_mps2) } else { 0.0 };
         let most_mps2 = (braking.mps2.max(-acceleration_mps2) / PRESSED_S).max(LEAST_JERK_MPS3) * dt_s;
         let eased_mps2 = eased_mps2(wanted_mps2, acceleration_mps2, dt_s);
-        acceleration_mps2 = eased_mps2.clamp(acceleration_mps2 - most_mps2, acceleration_mps2 + most_mps2);
+        let released_mps2 = RELEASE_JERK_MPS3 * dt_s;
+        acceleration_mps2 = eased_mps2.clamp(acceleration_mps2 - most_mps2, acceleration_mps2 + released_mps2);
         let then_mps = (speed_mps + acceleration_mps2 * dt_s).max(0.0);
         let moved_m = (f64::midpoint(speed_mps, then_mps) * dt_s).min(driven_m - station_m);
         station_m += moved_m;
@@ -155,16 +171,16 @@ mod tests {
     #[test]
     fn braking_builds_up_ends_and_keeps_the_way() {
         let braked = |own: &[State], mps2: f64, lasts_s: f64| super::braked(own, 0.0, Braking { mps2, lasts_s }, DT_S);
-        // From 10 m/s at 4 m/s², which the pedal reaches by 8 m/s³: 0.8 m/s less is lost, as if it began 0.2 s later,
-        // and it stands after 12.5 + 2.0 m. Speeds are means over the last timestep.
-        let found = braked(&steady(0.0, 10.0), 4.0, 3.0);
-        assert!((found[20].speed_mps() - 3.0).abs() < 0.05, "{}", found[20].speed_mps());
-        assert!((found[30].position.x - 14.5).abs() < 0.1 && found[30].speed_mps() < 1e-9, "{:?}", found[30]);
-        // For a second, it loses 4 m/s: what the pedal takes at first, it gives at the end. Then it drives on.
+        // From 10 m/s at 5 m/s², which the pedal reaches by 10 m/s³: 1 m/s less is lost, as if it began 0.2 s later, and
+        // it stands after 10 + 2.0 m. Speeds are means over the last timestep.
+        let found = braked(&steady(0.0, 10.0), 5.0, 3.0);
+        assert!((found[20].speed_mps() - 1.25).abs() < 0.1, "{}", found[20].speed_mps());
+        assert!((found[30].position.x - 12.0).abs() < 0.1 && found[30].speed_mps() < 1e-9, "{:?}", found[30]);
+        // For a second at 4 m/s² that fade to 2: it loses 3 m/s less the 0.8 of the pedal, and 0.4 while it lets go of 2
+        // m/s² by 5 m/s³. Then it drives on.
         let found = braked(&steady(0.0, 10.0), 4.0, 1.0);
-        assert!(
-            (found[20].speed_mps() - 6.0).abs() < 0.01 && (found[30].speed_mps() - found[20].speed_mps()).abs() < 1e-9
-        );
+        assert!((found[20].speed_mps() - 7.4).abs() < 0.15, "{}", found[20].speed_mps());
+        assert!((found[30].speed_mps() - found[20].speed_mps()).abs() < 1e-9);
         let jerk = |states: &[State]| {
             let speed = |i: usize| states[i].speed_mps();
             (2..30).map(|i| (speed(i + 1) - 2.0 * speed(i) + speed(i - 1)).abs() / DT_S.powi(2)).fold(0.0, f64::max)

@@ -2,11 +2,12 @@
 //! model would not have driven, more often than not. Nobody lets go of a pedal within a tenth of a second.
 
 use super::{at_stations, future, replace, stations};
+use crate::behavior::RELEASE_JERK_MPS3;
 use crate::geometry::{angle_difference, wrap_angle};
 use crate::scene::{Scene, State};
 use crate::simulate::situation::Situation;
 
-/// How fast the acceleration changes, m/s³: about the largest jerk of passengers' comfort (8.37, nuPlan).
+/// How fast the acceleration falls, m/s³: about the largest jerk of passengers' comfort (8.37, nuPlan).
 const EASED_MPS3: f64 = 8.0;
 /// Accelerations are of so many steps before and after the present.
 const N_STEPS: usize = 3;
@@ -59,7 +60,7 @@ fn eased(past: &[State], own: &[State], dt_s: f64) -> Option<Vec<State>> {
     let step_mps = |states: &[State], i: usize| states[i + 1].position.distance(states[i].position) / dt_s;
     let mps2 = |states: &[State]| (step_mps(states, N_STEPS - 1) - step_mps(states, 0)) / ((N_STEPS - 1) as f64 * dt_s);
     let more_mps2 = mps2(past) - mps2(own);
-    let takes_s = more_mps2.abs() / EASED_MPS3;
+    let takes_s = more_mps2.abs() / if more_mps2 < 0.0 { RELEASE_JERK_MPS3 } else { EASED_MPS3 };
     if takes_s <= dt_s {
         return None;
     }
@@ -111,8 +112,8 @@ mod tests {
         };
         let past: Vec<State> = (0..=N_STEPS).rev().map(before).collect();
         let found = eased(&past, &steady(0.0, 10.0), DT_S).unwrap();
-        // It takes 0.75 s, in which 6 x 0.75 / 2 m/s are lost.
-        assert!((found[30].speed_mps() - 7.75).abs() < 0.02, "{}", found[30].speed_mps());
+        // It takes 1.2 s, in which 6 x 1.2 / 2 m/s are lost.
+        assert!((found[30].speed_mps() - 6.4).abs() < 0.02, "{}", found[30].speed_mps());
         let all: Vec<Vec2> = past[..N_STEPS].iter().chain(&found).map(|state| state.position).collect();
         let mps: Vec<f64> = all.windows(2).map(|pair| pair[1].distance(pair[0]) / DT_S).collect();
         let mps2: Vec<f64> = mps.windows(2).map(|pair| (pair[1] - pair[0]) / DT_S).collect();

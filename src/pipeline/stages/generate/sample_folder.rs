@@ -211,6 +211,9 @@ pub(super) fn write_round(dir: &Path, request: usize, round: &Round) -> Result<(
 
 impl SampleManifest {
     /// Reads the manifest of a finished folder.
+    ///
+    /// # Errors
+    /// When the folder is not finished.
     pub fn read(dir: &Path) -> Result<Self> {
         let path = dir.join(MANIFEST_FILE);
         if dir.is_dir() && !path.exists() {
@@ -244,6 +247,9 @@ pub struct SampleSettings {
 
 impl SampleSettings {
     /// Reads the settings of a folder.
+    ///
+    /// # Errors
+    /// When there are none, or they are of another version.
     pub fn read(dir: &Path) -> Result<Self> {
         let path = dir.join(SETTINGS_FILE);
         let text = fs_err::read_to_string(&path).blame_fault()?;
