@@ -135,8 +135,8 @@ impl Generator<'_> {
 
     /// Diffused states (B, A, T, D) of all samples of a batch.
     fn denoise(&self, guided: &Guided<'_>, denoiser: &dyn Denoiser, progress: &dyn Progress) -> Result<Tensor, Error> {
-        // A sample's noise depends on the run's seed, the scene and the sample alone: all strengths of a scene start from
-        // the same noise, whatever the batches and shards.
+        // A sample's noise depends on the run's seed, the scene and the sample alone: all strengths of a scene start
+        // from the same noise, whatever the batches and shards.
         let seeds = guided.cells.iter().flat_map(|(cell, _)| {
             let scene_seed = self.seed().derive_named("noise", &cell.scene_id.0);
             guided.samples.clone().map(move |sample_idx| scene_seed.derive("sample", &[sample_idx as u64]))
