@@ -93,7 +93,8 @@ impl Generator<'_> {
 }
 
 /// Agents of the classes that the behavior admits, tracked over the whole history and near each other, that can still
-/// show the behavior, given their past, or a hard event where these are aimed at. Scored by how easily they can, or by their distance if that is undefined.
+/// show the behavior, given their past, or a hard event where these are aimed at. Scored by how easily they can, or by
+/// their distance if that is undefined.
 pub(super) fn possible_pairs(sweep: &ResolvedSweep, behavior: &dyn Behavior, scene: &Scene) -> Vec<CandidatePair> {
     let eligible: Vec<usize> = (0..scene.tracks.len())
         .filter(|agent_idx| {

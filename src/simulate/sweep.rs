@@ -1,8 +1,8 @@
 //! Lets the scenarios of a sweep go on in closed loops.
 //!
-//! The first plan of everybody is the sample itself; if it is driven to the end, nothing changes, but that the ego `log`
-//! answers to events that guidance has brought about. Nothing ends the drive while the sample lasts, so that scenarios
-//! and recordings are compared over the same time.
+//! The first plan of everybody is the sample itself; if it is driven to the end, nothing changes, but that the ego
+//! `log` answers to events that guidance has brought about. Nothing ends the drive while the sample lasts, so that
+//! scenarios and recordings are compared over the same time.
 
 use super::drivers::named;
 use super::maps::Maps;

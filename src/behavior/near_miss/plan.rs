@@ -83,8 +83,8 @@ struct PlannedDrive {
 impl NearMiss {
     /// Ways in which two agents may come to a near miss. Either one brakes hard, at a time to collision that is then
     /// the smallest (`min_ttc_s`), or nobody brakes and one crosses shortly after the other (`pet_s`). Until then they
-    /// give gas with at most 1.25 m/s² or slow down: the one ahead of another for a reason that is seen, those who cross
-    /// as drivers do without one. No other agent is in the way.
+    /// give gas with at most 1.25 m/s² or slow down: the one ahead of another for a reason that is seen, those who
+    /// cross as drivers do without one. No other agent is in the way.
     pub(super) fn drafts(&self, scene: &Scene, agents: [usize; 2]) -> Vec<Maneuver> {
         let takes_part = |agent_idx: &usize| {
             let track = &scene.tracks[*agent_idx];

@@ -171,7 +171,7 @@ pub enum Aim {
     /// easy outcomes come more often. Samples of a pair then differ in parameters such as gap and relative speed.
     Feasible,
     /// As `feasible`, but only events that are hard to avoid: those that close a gap in at most 2.5 s more than UN
-    /// Regulation No. 157 (paragraph 5.2.5.2) leaves to react, harder ones more often. Pairs that can show none are left
-    /// out. Events without `gap_m` and `relative_speed_mps` come alike.
+    /// Regulation No. 157 (paragraph 5.2.5.2) leaves to react, harder ones more often. Pairs that can show none are
+    /// left out. Events without `gap_m` and `relative_speed_mps` come alike.
     Hard,
 }

@@ -23,8 +23,8 @@ const ENDS_MPS3: f64 = 10.0;
 const BRAKES_S: f64 = 0.5;
 const FADES_TO: f64 = 0.5;
 const FADING_MPS2: f64 = 4.0;
-/// How often the weakest such deceleration is looked for halfway between one that suffices and one that does not: harder
-/// ones keep their reserve.
+/// How often the weakest such deceleration is looked for halfway between one that suffices and one that does not.
+/// Harder ones keep their reserve.
 const N_HALVINGS: usize = 3;
 /// Who follows another, with headings that differ by less than this, radians, must not touch it for this long, seconds,
 /// after the end of the future either, at the velocities of then.
@@ -171,13 +171,13 @@ mod tests {
     #[test]
     fn braking_builds_up_ends_and_keeps_the_way() {
         let braked = |own: &[State], mps2: f64, lasts_s: f64| super::braked(own, 0.0, Braking { mps2, lasts_s }, DT_S);
-        // From 10 m/s at 5 m/s², which the pedal reaches by 10 m/s³: 1 m/s less is lost, as if it began 0.2 s later, and
-        // it stands after 10 + 2.0 m. Speeds are means over the last timestep.
+        // From 10 m/s at 5 m/s², which the pedal reaches by 10 m/s³: 1 m/s less is lost, as if it began 0.2 s later,
+        // and it stands after 10 + 2.0 m. Speeds are means over the last timestep.
         let found = braked(&steady(0.0, 10.0), 5.0, 3.0);
         assert!((found[20].speed_mps() - 1.25).abs() < 0.1, "{}", found[20].speed_mps());
         assert!((found[30].position.x - 12.0).abs() < 0.1 && found[30].speed_mps() < 1e-9, "{:?}", found[30]);
-        // For a second at 4 m/s² that fade to 2: it loses 3 m/s less the 0.8 of the pedal, and 0.4 while it lets go of 2
-        // m/s² by 5 m/s³. Then it drives on.
+        // For a second at 4 m/s² that fade to 2: it loses 3 m/s less the 0.8 of the pedal, and 0.4 while it lets go of
+        // 2 m/s² by 5 m/s³. Then it drives on.
         let found = braked(&steady(0.0, 10.0), 4.0, 1.0);
         assert!((found[20].speed_mps() - 7.4).abs() < 0.15, "{}", found[20].speed_mps());
         assert!((found[30].speed_mps() - found[20].speed_mps()).abs() < 1e-9);
