@@ -88,7 +88,8 @@ impl CutOut {
         if speed_mps < MIN_SPEED_MPS {
             return None;
         }
-        // To be reached in time at the reveal, it can be this far away now, plus what the ego drives until then.
+        // To be reached in time at the reveal, it can be at most this far away now, plus the distance that the ego
+        // drives until then.
         match ego.ahead(present, (MAX_HEADWAY_S + self.max_ttc_s) * speed_mps)[..] {
             [leader, revealed, ..] if leader.gap_m <= MAX_HEADWAY_S * speed_mps => Some([leader, revealed]),
             _ => None,

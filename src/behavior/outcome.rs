@@ -2,7 +2,8 @@
 
 use std::collections::BTreeMap;
 
-/// The parameters of an event that agents can still show, under the event's names. Others can take any value.
+/// The parameters of an event that agents can still show, under the names that the event would have. Other parameters
+/// can take any value.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Outcome {
     parameters: BTreeMap<&'static str, f64>,

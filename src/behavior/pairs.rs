@@ -10,7 +10,8 @@ pub(super) struct PairSearch<'a> {
     pub(super) scene: &'a Scene,
     /// Name and roles of the behavior.
     pub(super) names: (&'static str, &'static [&'static str]),
-    /// Pairs without the behavior are hard negatives if their boxes come closer than this, meters. Others are skipped.
+    /// Pairs without the behavior are hard negatives if their boxes come closer than this, meters. Pairs that stay
+    /// farther apart are skipped.
     pub(super) negative_distance_m: f64,
     /// The timesteps at which that counts; also the start and end of hard negatives.
     pub(super) judged: Range<usize>,

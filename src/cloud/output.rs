@@ -17,7 +17,8 @@ pub struct Output {
 }
 
 impl Output {
-    /// A folder on disk as it is; for a URL, a folder of the cache, the same each time. `inputs` are read meanwhile.
+    /// A folder on disk as it is; for a URL, a folder of the cache, which is the same each time. `inputs` are read
+    /// meanwhile, by name.
     ///
     /// # Errors
     /// When the URL is invalid, overlaps an input, or holds objects that djinn did not write; in builds without object

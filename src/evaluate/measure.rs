@@ -26,7 +26,8 @@ pub struct Shard<'a> {
     pub records: Vec<ScenarioRecord>,
 }
 
-/// The results of measuring a shard, to be saved if another process merges the shards: without samples and recordings.
+/// The results of measuring a shard, to be saved if another process merges the shards: without the samples and
+/// recordings themselves.
 #[derive(Clone, PartialEq, Serialize, Deserialize)]
 pub struct ShardFigures {
     /// The cells, in order of first appearance.

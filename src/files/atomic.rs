@@ -123,7 +123,8 @@ pub fn write_atomically<E: From<io::Error>>(
     Ok(file.commit()?)
 }
 
-/// Gives the file at `from` a second name, or copies it if the file system has no links. Only the whole file appears.
+/// Gives the file at `from` a second name, or copies it if the file system has no links. Only the whole file ever
+/// appears under `to`.
 ///
 /// # Errors
 /// On I/O errors; nothing new is then under `to`.

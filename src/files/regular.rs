@@ -5,7 +5,8 @@ use std::fs::Metadata;
 use std::io;
 use std::path::Path;
 
-/// The metadata of a file or folder. Anything else, such as a pipe or a device, may block, have no end, or change.
+/// The metadata of a file or folder. Anything else, such as a pipe or a device, may block, have no end, or hold
+/// something else the next time.
 ///
 /// # Errors
 /// On I/O errors, or if it is neither a file nor a folder.

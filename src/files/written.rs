@@ -71,7 +71,8 @@ fn name_on(line: &[u8]) -> Option<PathBuf> {
     (stays_below(&name) && line_of(&name).ok()? == line).then(|| PathBuf::from(name))
 }
 
-/// The number of bytes at the end of a list that are the beginning of a line cut off by a kill: its file was not begun.
+/// The number of bytes at the end of a list that are the beginning of a line cut off by a kill: the file that it would
+/// have named was not begun.
 fn n_cut_off(list: &[u8]) -> usize {
     let last = list.rsplit(|byte| *byte == b'\n').next().unwrap_or_default();
     let after_name = last.windows(2).rposition(|pair| pair == b"\" ").map(|at| last.len() - at - 2);

@@ -58,7 +58,8 @@ impl Conditioned {
         (!self.performers.is_empty()).then(|| PairPath::of(&self.with_maneuver(self.scene.clone()), asked)).flatten()
     }
 
-    /// The observed states of a scenario that continues this scene. States of a template count as generated.
+    /// The observed states of a scenario that continues this scene. States of a template count as generated, although
+    /// the denoiser observes them.
     pub(super) fn observed(&self, generated: &Scene) -> ObservationMask {
         ObservationMask::from_fn(generated.tracks.len(), generated.n_timesteps, |agent_idx, timestep| {
             let performs = self.performers.iter().any(|(performer, _)| *performer == agent_idx);

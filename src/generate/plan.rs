@@ -97,7 +97,8 @@ impl Generator<'_> {
         Ok(plan)
     }
 
-    /// The cells of a request of this name by its first sweep, scene by scene, among the chosen splits and places.
+    /// The cells of a request of this name by its first sweep, scene by scene, among the possible scenes of the chosen
+    /// splits and places.
     pub(super) fn cells_by_scene(
         &self,
         (name, sweep): (&str, &ResolvedSweep),

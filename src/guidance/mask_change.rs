@@ -195,7 +195,8 @@ fn restricted(matrix: &Matrix, places: &[usize]) -> Matrix {
     places.iter().map(|i| places.iter().map(|j| matrix[*i][*j]).collect()).collect()
 }
 
-/// X with A X = B, by elimination with partial pivoting; `None` if A is singular. Zeros are skipped: A has many.
+/// X with A X = B, by elimination with partial pivoting; `None` if A is singular. Zeros are skipped: A is mostly
+/// block-diagonal or triangular.
 fn solved(mut a: Matrix, mut b: Matrix) -> Option<Matrix> {
     let n = a.len();
     for column in 0..n {

@@ -76,7 +76,8 @@ fn follow(actor: &Actor, dt_s: f64) -> Element {
         element("Vertex").attr("time", number((actor.first_timestep + i) as f64 * dt_s)).child(position)
     };
     let mut positions = actor.positions();
-    // A polyline has at least two vertices, and some players require one for every actor: a single timestep is doubled.
+    // A polyline has at least two vertices, and some players require one for every actor: an actor with a single
+    // timestep stands for as long.
     if actor.states.len() == 1 {
         positions.extend(actor.positions());
     }

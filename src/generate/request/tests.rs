@@ -304,7 +304,8 @@ fn a_bucket_of_which_nothing_comes_is_given_up() {
 fn samples_of_arms_that_aim_are_asked_for_an_open_bucket_that_their_cell_can_reach() {
     let request = tight("arms = ['plain', 'aimed']\nper_bucket = 2\nbudget = { n_samples = 300 }");
     assert_eq!(request.arms.iter().map(|arm| arm.aims).collect::<Vec<_>>(), [false, true]);
-    // Buckets 0 and 1 hold gaps from 0 to 5 m, the others from 5 to 10 m. Every cell reaches one; only bucket 0 is hit.
+    // Buckets 0 and 1 hold gaps from 0 to 5 m, the others from 5 to 10 m. Every cell reaches one bucket; none but
+    // bucket 0 is ever hit.
     let pool = Pool { feasible: (0..12).map(|cell| std::iter::once((cell % 4, 0.5)).collect()).collect(), ..pool(12) };
     let (rounds, tallies, _) = fulfil(&request, &pool, 1, |_, cell, _| (cell % 4 == 0).then_some(0));
     let mut n_aimed = 0;

@@ -17,7 +17,8 @@ pub(super) fn visit(
     visit_folder(root, &mut Vec::new(), &mut Vec::new(), wanted, visit)
 }
 
-/// `below` are the names from the root to this folder, `ancestors` the folders on the way, by device and inode.
+/// `below` are the names from the root to this folder, `ancestors` the folders on the way as the file system numbers
+/// them, by device and inode.
 fn visit_folder(
     root: &Path,
     below: &mut Vec<OsString>,

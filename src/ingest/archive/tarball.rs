@@ -65,7 +65,8 @@ pub(super) fn visit(
     }
 }
 
-/// Whether bytes after a compressed stream, such as zeros or a signature, look like another. `gzip` ignores them, too.
+/// Whether bytes after a compressed stream, such as zeros or a signature, were mistaken for another stream. `gzip`
+/// ignores them, too.
 fn is_of_what_follows(error: &io::Error) -> bool {
     error.to_string().contains("invalid gzip header")
 }

@@ -159,7 +159,8 @@ fn copies_of_recordings_are_rejected() {
     assert_eq!((report.n_scenes, report.n_units), (3, 4));
     assert!(report.rejects["recording_repeated"].examples[0].starts_with("train/data/0001 (1).csv: "));
 
-    // Equal content is one recording, whatever it is called, wherever it lies and however its lines end.
+    // Equal content is one recording, whatever it is called, wherever it lies and however its lines end; others of the
+    // same size are none.
     let text = fs_err::read_to_string(file("0001.csv")).expect("text");
     fs_err::remove_file(file("0001 (1).csv")).expect("writable");
     let aside = folder.path().join("val/data/0001_copy.csv");
