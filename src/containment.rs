@@ -9,7 +9,8 @@ thread_local! {
 
 /// The result of `decode`; `None` if it panicked. Values that `decode` has used must not be used afterwards.
 ///
-/// For decoders of other projects whose assertions a damaged file violates: one such file must not end all reading.
+/// For decoders of other projects whose assertions a damaged file violates: one such file must not end the reading of
+/// all others.
 pub fn contained<T>(decode: impl FnOnce() -> T) -> Option<T> {
     let outer = IS_CONTAINED.replace(true);
     let outcome = catch_unwind(AssertUnwindSafe(decode));

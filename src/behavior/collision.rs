@@ -109,7 +109,8 @@ impl Behavior for Collision {
     }
 }
 
-/// The scene with agents of unrecorded size at half their nominal size: nominal boxes overlap where no agents touch.
+/// The scene with agents of unrecorded size at half their nominal size: boxes of nominal size would overlap where no
+/// agents touch.
 fn with_cores(scene: &Scene) -> Cow<'_, Scene> {
     if scene.tracks.iter().all(|track| track.extent.is_some()) {
         return Cow::Borrowed(scene);

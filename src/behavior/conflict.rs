@@ -127,7 +127,8 @@ impl Conflict {
 
     /// The post-encroachment time, seconds: from when the first agent is out of the way to when the other enters the
     /// conflict zone, negative if it does so earlier. If that is not recorded, the time that the other would take from
-    /// there at its speed when the first is out of the way; `None` if it does not get there.
+    /// its place when the first is out of the way, at its speed at that time. `None` if it stands or does not get
+    /// there.
     pub(super) fn pet_s(&self, other: &Course<'_>, dt_s: f64) -> Option<f64> {
         match self.arrives {
             Some(arrives) => Some((arrives as f64 - self.leaves as f64) * dt_s),

@@ -132,7 +132,8 @@ impl CutOut {
         Some(Reveal { timestep, side, leader_mps: out.velocity.dot(Vec2::from_angle(place.heading_rad)) })
     }
 
-    /// The first timestep from which the leader's box is over the side of the lane without a break until the reveal.
+    /// The first timestep from which the leader's box reaches over the side of the lane without a break until the
+    /// reveal.
     fn start(scene: &Scene, ego: &Follower<'_>, leader_idx: usize, reveal: &Reveal) -> usize {
         let half_width_m = scene.tracks[leader_idx].extent_or_nominal().width_m / 2.0;
         let reaches_over = |t: &usize| {

@@ -72,7 +72,8 @@ impl DrivenPath {
         center.station_m - reaches_m - EXTENSION_M - self.half_length_m
     }
 
-    /// The agent's position and heading after `driven_m` along the path. Past the end it goes straight on.
+    /// The position and heading of the agent after it has driven `driven_m` along the path. Past the end it goes
+    /// straight on.
     pub(crate) fn pose_at(&self, driven_m: f64) -> (Vec2, f64) {
         let station_m = (driven_m + EXTENSION_M).max(0.0);
         let (point, heading_rad) = self.path.pose_at(station_m).unwrap_or_default();

@@ -71,7 +71,8 @@ impl BehaviorEvent {
         self
     }
 
-    /// Whether most of the event is after the present of `scene`: 60 % of its time, and of a turn's change of heading.
+    /// Whether most of the event happens after the present of `scene`: 60 % of its time, and of a turn's change of
+    /// heading.
     pub fn is_mostly_ahead(&self, scene: &Scene) -> bool {
         let present = scene.current_timestep().clamp(self.start_timestep, self.end_timestep);
         let is_most = |ahead: f64, all: f64| ahead >= MOST * all - 1e-9;

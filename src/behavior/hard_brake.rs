@@ -98,7 +98,8 @@ impl Behavior for HardBrake {
         agents.first().map_or_else(Vec::new, |agent_idx| self.brakings(scene, *agent_idx))
     }
 
-    /// Agents come in the order of tracks; for each agent, positive events precede negative ones, each by time.
+    /// Agents come in the order of tracks; for each agent, positive events come first, then negative ones, each by
+    /// time.
     fn detect(&self, scene: &Scene) -> Vec<BehaviorEvent> {
         let considered = scene.tracks.iter().enumerate().filter(|(_, track)| track.class.is_motorized());
         considered.flat_map(|(agent_idx, track)| self.detect_agent(scene, agent_idx, track)).collect()

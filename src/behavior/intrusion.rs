@@ -24,7 +24,8 @@ pub(super) struct Intrusion {
 }
 
 impl Intrusion {
-    /// The intrusion of `other` at `timestep` into the future path of the ego. `None` if either is not tracked.
+    /// The intrusion of `other` at `timestep` into the future path of the ego. `None` if either of the two is not
+    /// tracked then.
     pub(super) fn at(scene: &Scene, [ego_idx, other_idx]: [usize; 2], timestep: usize) -> Option<Self> {
         let (ego, other) = (&scene.tracks[ego_idx], &scene.tracks[other_idx]);
         let (ego_state, other_state) = (ego.trajectory.get(timestep)?, other.trajectory.get(timestep)?);

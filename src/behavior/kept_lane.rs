@@ -9,7 +9,8 @@ use std::f64::consts::FRAC_PI_4;
 const MAX_HEADING_DIFFERENCE_RAD: f64 = FRAC_PI_4;
 /// An agent is still in its lane when its center is beyond a side by no more than this, meters.
 const HYSTERESIS_M: f64 = 0.3;
-/// How far the lane is followed ahead of and behind the present one, meters: farther than any agent of interest.
+/// How far the lane is followed ahead of and behind the agent's present lane, meters: farther than any agent of
+/// interest.
 const AHEAD_M: f64 = 200.0;
 const BEHIND_M: f64 = 100.0;
 /// How far its lines run straight on where the map ends, meters.
@@ -158,7 +159,8 @@ fn positions(trajectory: &Trajectory, timesteps: std::ops::Range<usize>) -> Vec<
 
 /// The lanes to `start`, itself, and those that continue it, in driving direction, without repetitions.
 ///
-/// In a small roundabout, the lanes ahead are the ones behind, too: those driven are behind, the rest ahead.
+/// In a small roundabout, the lanes ahead are the ones behind, too: those already driven are behind, the rest are
+/// ahead.
 fn route<'a>(lanes: &SceneLanes<'a>, start: &IndexedLane<'a>, future: &[Vec2], history: &[Vec2]) -> Vec<&'a Lane> {
     let mut route = vec![start.lane];
     let driven_m = history.windows(2).map(|pair| pair[0].distance(pair[1])).sum::<f64>().min(BEHIND_M);

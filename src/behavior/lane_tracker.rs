@@ -100,7 +100,8 @@ impl<'a> LaneTrace<'a> {
         let mut found: Vec<_> = candidates(lanes, state)
             .map(|(lane, place)| (lanes.relation(from, lane, state.position), lane, place))
             .collect();
-        // Lanes that follow on precede lanes beside; of each kind, the one that holds most of the agent comes first.
+        // Lanes that follow on precede lanes beside; among each kind, the one with the agent deepest inside comes
+        // first.
         found.sort_by(|a, b| b.2.margin_m.total_cmp(&a.2.margin_m));
         let best_of = |wanted: LaneRelation| found.iter().find(|(relation, _, _)| *relation == wanted);
         let (relation, lane, place) = best_of(LaneRelation::Along)

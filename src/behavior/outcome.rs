@@ -30,7 +30,8 @@ impl Outcome {
         self.may_be_within(ranges) && ranges.keys().all(|name| self.get(name).is_some())
     }
 
-    /// Whether all of its parameters that are in `ranges` lie in their ranges. Those that it lacks may still do so.
+    /// Whether all of its parameters that are in `ranges` lie in their ranges. Parameters that it lacks may still do
+    /// so.
     pub(super) fn may_be_within(&self, ranges: &BTreeMap<String, [f64; 2]>) -> bool {
         let is_in = |(name, [low, high]): (&String, &[f64; 2])| {
             self.get(name).is_none_or(|value| (*low..=*high).contains(&value))

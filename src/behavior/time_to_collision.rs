@@ -55,7 +55,8 @@ mod tests {
         // Opening, and passing in the next lane.
         assert_eq!(ttc(car(0.0, 0.0, 0.0), Vec2::new(5.0, 0.0), car(10.0, 0.0, 0.0), Vec2::new(8.0, 0.0)), None);
         assert_eq!(ttc(car(0.0, 0.0, 0.0), Vec2::new(8.0, 0.0), car(10.0, 2.5, 0.0), still), None);
-        // At right angles: the front at x = 2 has 7 m to the flank at x = 9; the other crosses y = ±3 from -1 to 0.2 s.
+        // Crossing at right angles: the front at x = 2 has 7 m to the flank at x = 9; the other crosses y = ±3 from -1
+        // to 0.2 s.
         let crossing = |speed: f64| {
             let heading_rad = std::f64::consts::FRAC_PI_2;
             ttc(car(0.0, 0.0, 0.0), Vec2::new(speed, 0.0), car(10.0, 2.0, heading_rad), Vec2::new(0.0, 5.0))

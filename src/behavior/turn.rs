@@ -26,7 +26,8 @@ const NEGATIVE_HEADING_CHANGE_RAD: f64 = FRAC_PI_6;
 const MAX_RADIUS_M: f64 = 50.0;
 /// Smallest mean radius of a turn, meters; less is tighter than a vehicle can steer, so the heading is noise.
 const MIN_RADIUS_M: f64 = 3.0;
-/// Lanes that lead back to themselves within this length are a roundabout, meters; a block of houses is longer.
+/// Lanes that lead back to themselves within this length are a roundabout, meters; the way around a block of houses is
+/// longer.
 const MAX_ROUNDABOUT_M: f64 = 250.0;
 /// Shortest path between start and end, meters; less is noise of the heading at low speed.
 const MIN_PATH_M: f64 = 3.0;

@@ -114,7 +114,8 @@ impl UnprotectedLeftTurn {
         Some(event)
     }
 
-    /// Whether the lanes come from opposite arms, cross because the first leads left, and the turner follows its lane.
+    /// Whether the lanes come from opposite arms and cross because the first leads to the left, and the turner follows
+    /// its lane.
     fn turns_across(
         lanes: &SceneLanes<'_>,
         turner: &Agent<'_>,

@@ -6,7 +6,8 @@ use std::process::ExitCode;
 /// Everything was done.
 pub(super) const DONE: ExitCode = ExitCode::SUCCESS;
 
-/// The exit code after which the same command continues, for schedulers that retry jobs (EX_TEMPFAIL of `sysexits.h`).
+/// The exit code after which running the same command again continues, for schedulers that retry jobs (EX_TEMPFAIL of
+/// `sysexits.h`).
 pub(super) const LATER: u8 = 75;
 
 pub(super) fn of_failure(failure: &Failure) -> ExitCode {

@@ -10,7 +10,8 @@ use std::sync::{Mutex, PoisonError};
 static FIRST: Mutex<Option<String>> = Mutex::new(None);
 
 /// The result of `work`. A panic in it, on any thread, is a bug of ours: it becomes a failure with the place in the
-/// source and advice to report it. Panics over damaged files are contained where they are read, and become errors.
+/// source and advice to report it. Panics over damaged files are contained where the files are read, and reported as
+/// errors.
 pub(super) fn told(work: impl FnOnce() -> Result<()>) -> Result<()> {
     std::panic::set_hook(Box::new(|panic| {
         if !is_contained() {

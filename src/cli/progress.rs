@@ -39,7 +39,8 @@ struct Phase {
     next_estimate: Duration,
 }
 
-/// How long a phase without a bar runs before its first estimate of the time left; each later one three times as long.
+/// How long a phase without a bar runs before its first estimate of the time left; each later one takes three times as
+/// long.
 const FIRST_ESTIMATE: Duration = Duration::from_secs(20);
 
 impl TerminalProgress {

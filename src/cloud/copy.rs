@@ -14,7 +14,8 @@ use crate::files::{LOCK_FILE, Lock, PARTIAL_SUFFIX, files_below};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
-/// The object that lists the others: the BLAKE3 hash of each by name, or `null` until all are written.
+/// The object that lists the others: by name the BLAKE3 hash of each, or `null` from before it is written until all
+/// are.
 const LIST: &str = ".djinn-copied.json";
 
 /// A URL to which results are copied.

@@ -55,7 +55,8 @@ impl ObjectUrl {
         Scheme::ALL.iter().any(|scheme| text.starts_with(scheme.prefix()))
     }
 
-    /// The relation of this URL to `other`, if they overlap. `a/b` contains `a/b/c` and not `a/bc`.
+    /// The relation of this URL to `other`, if they overlap. Prefixes are folders: `a/b` contains `a/b/c` and not
+    /// `a/bc`.
     pub fn relation_to(&self, other: &Self) -> Option<PathRelation> {
         let contains = |outer: &str, inner: &str| {
             outer.is_empty() || inner.strip_prefix(outer).is_some_and(|rest| rest.starts_with('/'))

@@ -44,7 +44,8 @@ pub struct CopyOutcome {
     pub n_aggregates_left_out: u64,
 }
 
-/// Copies the scenarios of `inputs` that `selection` keeps into a new corpus at `out`, corpus by corpus, in order.
+/// Copies the scenarios of `inputs` that `selection` keeps into a new corpus at `out`, one corpus after the other, each
+/// in its order.
 pub(super) fn copy(
     inputs: &[CorpusScan],
     out: &Path,
@@ -265,7 +266,8 @@ fn run_end(column: &arrow::array::StringArray, start: usize) -> usize {
     (start + 1..column.len()).find(|row| column.value(*row) != value).unwrap_or(column.len())
 }
 
-/// The combined notes of several corpora: the terms of the remaining datasets, and differing notes as a list.
+/// The combined notes of several corpora: the terms of the remaining datasets, and notes with different values as a
+/// list.
 fn notes(manifests: &[&CorpusManifest], datasets: &BTreeSet<String>) -> CorpusNotes {
     let together = |of: fn(&CorpusManifest) -> &BTreeMap<String, String>, separator: &'static str| {
         let mut values: BTreeMap<String, Vec<String>> = BTreeMap::new();

@@ -8,7 +8,8 @@ use crate::store::{CorpusChunk, CorpusScan, CorpusTable, Fingerprint, fingerprin
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-/// Writes the scenarios of all corpora in `dirs` into a new corpus at `out`. Each scenario is copied once.
+/// Writes the scenarios of all corpora in `dirs` into a new corpus at `out`. A scenario that several hold is copied
+/// once.
 ///
 /// # Errors
 /// [`Error::Conflict`] when two hold different scenarios under one id, [`Error::MapConflict`] when they hold different

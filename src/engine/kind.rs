@@ -22,7 +22,8 @@ pub struct StageKind {
     pub outputs: &'static [&'static str],
     /// Whether readers of its outputs compare them with checksums, file by file.
     pub is_checked_by_readers: bool,
-    /// The file names of its shards if several processes can make them at once; `None` if one process does all.
+    /// The file names of its shards if several processes can make them at once; `None` if one process does all the
+    /// work.
     pub shards: Option<ShardNames>,
 }
 

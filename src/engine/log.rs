@@ -42,7 +42,8 @@ impl<'a> Logged<'a> {
 
 impl LogState {
     fn line(&mut self, message: &str) {
-        // A log that cannot be written (a full disk) must not end the work: outputs that fail will report the problem.
+        // A log that cannot be written (a full disk) must not end the work: the outputs will report the problem if they
+        // fail, too.
         let _ = writeln!(self.file, "{} {message}", utc_now());
     }
 }

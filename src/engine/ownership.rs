@@ -63,7 +63,8 @@ fn check_no_output(root: &Path, kinds: &'static [StageKind]) -> Result<()> {
     Ok(())
 }
 
-/// Whether lines may be added to the log in `root`: it is empty, was begun by djinn, or lies beside other files of it.
+/// Whether lines may be added to the log in `root`: it is empty, was begun by a command of djinn, or lies beside other
+/// files of djinn.
 fn is_log(root: &Path) -> bool {
     const HEAD_BYTES: u64 = 4096;
     let mut head = Vec::new();

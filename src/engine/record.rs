@@ -239,7 +239,8 @@ impl StageRecord {
         Self { times, ..self }
     }
 
-    /// Whether the output with this name is as it was written, to its last byte. True for other names.
+    /// Whether the output with this name is as it was written, to its last byte. True for names that are not outputs of
+    /// the stage.
     pub(super) fn is_whole(&self, root: &Path, name: &str) -> Result<bool> {
         let Some(written) = self.outputs.get(name) else { return Ok(true) };
         Ok(self.found(root, name, None)?.is_some_and(|now| now.agrees_with(written)))
@@ -255,7 +256,8 @@ impl StageRecord {
         Ok(Some(fingerprint_to(&path, Some(&below(&self.files, name)), known)?))
     }
 
-    /// Whether a setting of the stage's own section differs from `earlier`. Presets are not the user's doing.
+    /// Whether a setting of the stage's own section differs from `earlier`. Values that come from presets are not the
+    /// user's doing.
     pub(super) fn section_differs(&self, earlier: &Self) -> bool {
         let own = |record: &Self| {
             let mut config = record.config.clone();

@@ -1,4 +1,5 @@
-//! Does running stages again lose anything: foreign files, earlier outputs, trained models? On tiny stages.
+//! Does running stages again lose anything: foreign files, earlier outputs, trained models? On stages that write a few
+//! lines.
 
 mod crafted;
 mod toy;

@@ -38,13 +38,15 @@ pub struct StageTiming {
     pub peak_memory_bytes: Option<u64>,
 }
 
-/// The total time that the stage was at work in the folder `root`, seconds; `None` if unknown.
+/// The total time that the stage was at work in the folder `root`, seconds; `None` if unknown, such as after an
+/// interruption.
 pub(super) fn seconds_spent(root: &Path, stage: &StageKind) -> Option<f64> {
     let timings: Timings = read_json(&root.join(TIMINGS_FILE)).ok()?;
     timings.stages.get(stage.name)?.iter().map(|timing| timing.seconds).sum()
 }
 
-/// By output of a finished stage in the folder `root`, a hash of the times of its large files that were seen whole.
+/// By output of a finished stage in the folder `root`, a hash of the times at which its large files were written that
+/// were seen whole.
 pub(super) fn times_seen(root: &Path, stage: &StageKind) -> BTreeMap<String, String> {
     let timings: Timings = read_json(&root.join(TIMINGS_FILE)).unwrap_or_default();
     timings.outputs.get(stage.name).cloned().unwrap_or_default()

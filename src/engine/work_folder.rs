@@ -149,7 +149,8 @@ impl WorkFolder {
         Ok(record)
     }
 
-    /// Finishes what earlier processes left unfinished: puts whole outputs in place, and ends removals.
+    /// Finishes what earlier processes left unfinished: puts whole outputs in place, and removes what was about to be
+    /// removed.
     pub(super) fn complete_all(root: &Path, kinds: &'static [StageKind]) -> Result<()> {
         for stage in kinds {
             let work = Self::of(root, stage);
@@ -195,7 +196,8 @@ impl WorkFolder {
     }
 
     /// Puts the output `name` in place. Files are renamed over earlier ones, folders are exchanged with them, so that
-    /// there is always one or the other. The earlier one then gets the name under which it stays, or is removed.
+    /// there is always one or the other. The earlier one then gets the name under which it stays, or is put where it
+    /// will be removed.
     fn put_in_place(&self, name: &str, as_name: Option<&String>) -> Result<()> {
         let (new, place) = (self.dir.join(name), self.root.join(name));
         let away = as_name.map_or_else(|| self.dir.join(REPLACED).join(name), |as_name| self.root.join(as_name));

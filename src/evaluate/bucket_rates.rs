@@ -19,7 +19,8 @@ impl BucketRates {
 
     /// The rate of the bucket of the request that the scenario was made for, or of its behavior if no request made it.
     /// `None` without a verified event, or where nothing was recorded. It is a rate of recorded events or, where there
-    /// are none, of closed loops of the unguided model: guided or planned scenarios happen as often as asked for.
+    /// are none, of closed loops of the unguided model: scenarios that were guided or planned happen as often as they
+    /// were asked for.
     pub(super) fn of(&mut self, record: &ScenarioRecord) -> Option<BucketRate> {
         let behavior = &record.main_event()?.behavior;
         let place = &record.scenario.scene.source.place;

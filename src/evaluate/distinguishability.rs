@@ -200,7 +200,8 @@ struct TestedSeries {
     test: TwoSampleTest,
 }
 
-/// The classifiers' results, and how recorded scenarios look to them. Series with few tracks or scenes are left out.
+/// The results of the classifiers, and how recorded scenarios look to them. Series with too few tracks or scenes are
+/// left out.
 #[derive(Default)]
 pub struct Distinguished {
     series: Vec<TestedSeries>,

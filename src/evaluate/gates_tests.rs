@@ -24,7 +24,8 @@ fn guided() -> SeriesKey {
     series(Group::Sweep(SWEEP.to_owned()), 2.0)
 }
 
-/// 10 scenarios of a sweep that requests a cut-in, of `generated` series, with these means over all places alone.
+/// 10 scenarios of a sweep that requests a cut-in, of `generated` series, with these means over all places and no
+/// others.
 fn found(generated: &[SeriesKey], means: &[(SeriesKey, &str, f64)]) -> EvaluationSummary {
     let validity_row = |SeriesKey { group, sweep, level }: &SeriesKey, place: &str| ValidityRow {
         group: group.clone(),

@@ -1,4 +1,5 @@
-//! Judges single scenarios, apart from their requested behavior: are they possible, how critical, and new?
+//! Judges single scenarios, apart from their requested behavior: are they possible, how critical are they, are they
+//! new?
 
 use super::error::Result;
 use crate::behavior::{BehaviorEvent, EventLabel};
@@ -14,7 +15,8 @@ use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
-/// Number of recorded scenes for the ranges of motion: enough to estimate a thousandth at either end, and fast.
+/// Number of recorded scenes for the ranges of motion: enough to estimate a thousandth at either end, few enough to be
+/// fast.
 const N_REFERENCE_SCENES: usize = 400;
 /// The behaviors in which somebody comes into the lane of the ego.
 const CUT_INS: [&str; 2] = ["cut_in", "cut_in_paper"];

@@ -44,7 +44,8 @@ pub(super) struct MetricRows {
 }
 
 impl MetricRows {
-    /// Starts without rows of these metrics. Creates files in `scratch`, which last until the rows are removed.
+    /// Starts without rows of these metrics. Creates files in the folder `scratch`, which last until the rows are
+    /// removed.
     pub(super) fn create(docs: Vec<MetricDoc>, scratch: &Path) -> Result<Self> {
         let of_scenarios = Spool::create(&scratch.join("metrics.scenarios.spool"))?;
         Ok(Self { docs, scratch: scratch.to_owned(), series: Vec::new(), of_scenarios })

@@ -1,4 +1,5 @@
-//! How many scenarios has each sweep by place and strength, and how many are verified, new, colliding or off the road?
+//! How many scenarios does each sweep have by place and strength, and how many are verified, new, colliding or off the
+//! road?
 
 use super::cells::CellSamples;
 use crate::metrics::{CollisionRate, Metric, OffroadRate, SampleGroup, SeriesKey};

@@ -1,4 +1,5 @@
-//! How many scenarios of each sweep are valid, and how many of the recordings that they continue? And by check?
+//! How many scenarios of each sweep are valid, and how many of the recordings that they continue? Counts failures by
+//! check.
 
 use super::judge::ReferenceJudgment;
 use crate::metrics::{Check, Group, SeriesKey, Violation};

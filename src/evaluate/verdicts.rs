@@ -97,7 +97,8 @@ impl<'a> Verdicts<'a> {
     }
 
     /// Completes the judgment of a record and returns the verdict. Records must come in the order of the samples,
-    /// because the first of several near-duplicates is accepted. `not_checked` lists the checks that were not made.
+    /// because the first of several near-duplicates is accepted. `not_checked` lists the checks of validity that were
+    /// not made.
     pub(super) fn decide(&mut self, record: &mut ScenarioRecord, not_checked: &[Check]) -> VerdictRow {
         let path = PairPath::of(&record.scenario.scene, &record.scenario.provenance.guidance.roles);
         let (scenario_id, level) = (record.scenario.id.clone(), record.scenario.provenance.guidance.level);
@@ -150,7 +151,8 @@ impl<'a> Verdicts<'a> {
         if !record.verified {
             reasons.push(if record.requested_behavior.is_some() { NOT_VERIFIED } else { NOTHING_ASKED });
         }
-        // A scenario that a request did not take is named by its outcome, unless nothing was found, which is a reason.
+        // A scenario that a request did not take is named by its outcome, unless nothing was found, which is a reason
+        // already.
         reasons.extend(unwanted_outcome(record).filter(|_| record.verified).map(RequestOutcome::name));
         reasons.extend(assessment.violations.iter().map(|violation| violation.check.name()));
         let needs_cause =

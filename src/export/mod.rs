@@ -104,7 +104,8 @@ impl ExportFormat {
         matches!(self, Self::CommonRoad | Self::OpenScenario)
     }
 
-    /// The default motion of the ego. CommonRoad is for planners, which would collide with a replayed ego at once.
+    /// The default motion of the ego. CommonRoad is for planners, which would collide with a replayed ego at their
+    /// first step.
     pub const fn usual_ego(self) -> EgoMotion {
         match self {
             Self::CommonRoad => EgoMotion::Free,
@@ -182,6 +183,7 @@ struct Written {
     first_timestep: usize,
     /// For each track its name in the file, or a stable code for the reason why it is left out.
     tracks: Vec<std::result::Result<String, &'static str>>,
-    /// Counts by stable code of values that the scenario lacks and the format requires, or cannot represent.
+    /// Counts by stable code of values that the format requires and the scenario lacks, or that the format cannot
+    /// represent.
     assumed: Vec<(&'static str, u64)>,
 }

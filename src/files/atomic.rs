@@ -32,7 +32,8 @@ impl FileStamp {
 }
 
 /// A file written beside its place, under a name that no other writer has, and renamed when whole. Dropping it without
-/// [`commit`](Self::commit) removes it. It is entered in the list of written files of a folder above, if there is one.
+/// [`commit`](Self::commit) removes it. It is entered in the list of written files of a folder above it, if one keeps a
+/// list.
 #[derive(Debug)]
 pub struct AtomicFile {
     /// `None` once committed.

@@ -3,7 +3,8 @@
 use std::io;
 use std::path::Path;
 
-/// Exchanges the entries under two paths, at once. `false`: nothing was done, because the file system cannot.
+/// Exchanges the entries under two paths, at once. `false`: nothing was done, because the system or the file system
+/// cannot.
 #[cfg(target_os = "linux")]
 pub fn exchange(a: &Path, b: &Path) -> io::Result<bool> {
     use rustix::fs::{CWD, RenameFlags, renameat_with};

@@ -49,7 +49,8 @@ pub fn listed(dir: &Path) -> Result<Option<BTreeSet<PathBuf>>> {
     Ok(Some(names))
 }
 
-/// Whether a name in a list or record, relative to a folder, is that of something below it: plain parts.
+/// Whether a name in a list or record, relative to a folder, is that of something below it: plain parts between
+/// slashes.
 pub fn stays_below(name: &str) -> bool {
     let is_plain = |part: &str| !part.is_empty() && part != "." && !part.contains('\0');
     let is_normal = |part| matches!(part, Component::Normal(_));

@@ -16,7 +16,8 @@ impl<'g> Generator<'g> {
         })
     }
 
-    /// Refuses a baseline with too few futures, or trained on a different kind of scenes than the denoiser.
+    /// Refuses a baseline that has too few futures, or that was trained on a different kind of scenes than the
+    /// denoiser.
     pub(super) fn check_baseline(&self, sweep: &ResolvedSweep) -> Result<(), Error> {
         if !sweep.uses_baseline() {
             return Ok(());

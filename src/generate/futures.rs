@@ -38,7 +38,8 @@ pub struct Continued<'a> {
 }
 
 impl<'a> Futures<'a> {
-    /// Futures by `model`: a distilled one takes its own steps, any other ten of DPM-Solver++.
+    /// Futures by `model`: a distilled one takes the steps that it was distilled for, any other ten steps of
+    /// DPM-Solver++.
     ///
     /// # Errors
     /// When the model cannot be sampled in this way.

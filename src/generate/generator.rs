@@ -118,7 +118,8 @@ impl<'a> Generator<'a> {
         Ok(scene)
     }
 
-    /// Rejects a distilled denoiser with other scales or timesteps than the denoiser, and each in place of the other.
+    /// Rejects a distilled denoiser with other scales or timesteps than the denoiser, and either of the two in place of
+    /// the other.
     fn check_distilled(&self, sweep: &ResolvedSweep) -> Result<(), Error> {
         let (own, spec) = (&self.denoiser(sweep)?.spec, self.spec());
         let is_alike = own.edm == spec.edm

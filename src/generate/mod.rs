@@ -1,4 +1,5 @@
-//! From recorded scenes to new scenarios: what is generated and how, and does it show the requested behavior?
+//! From recorded scenes to new scenarios: what is generated, how is it sampled, and does it show the requested
+//! behavior?
 //!
 //! A [`Plan`] fixes everything that is drawn before anything is sampled: which scenes, which pairs of agents, in which
 //! shards. A shard depends on the plan, the models and the seed alone, so shards can be generated in any order, by any

@@ -160,7 +160,8 @@ impl ObserveConfig {
     }
 }
 
-/// Refuses rules under the key `key` that observe nothing, and rules that cannot work with these roles.
+/// Refuses rules under the key `key` that observe nothing, and rules that cannot work in a sweep whose behavior has
+/// these roles.
 pub(super) fn validate_rules(key: &str, rules: &[MaskRule], roles: &[&str]) -> settings::Result {
     if rules.iter().all(|rule| rule.hide) {
         return Err(Issue::new(key, "has no rule that observes states; add one without hide"));
@@ -232,7 +233,8 @@ impl TimeChoice {
             Self::Future => timestep >= scene.n_history,
             Self::Goal => scene.has_future() && timestep + 1 == scene.n_timesteps,
             Self::Seconds(range) => {
-                // Times are written with few digits, so a range includes a timestep a rounding error beyond its end.
+                // Times are written with few digits, so a range includes a timestep that lies a rounding error beyond
+                // its end.
                 let elapsed_s = (timestep as f64 - scene.current_timestep() as f64) * scene.dt_s;
                 let tolerance_s = 1e-3 * scene.dt_s;
                 (range.from_s - tolerance_s..=range.to_s + tolerance_s).contains(&elapsed_s)

@@ -144,7 +144,8 @@ pub(super) fn slots(batch: &SceneBatch, agents: &[(usize, usize)]) -> Result<Vec
     agents.iter().enumerate().map(|(row, pair)| Ok((slot(row, pair.0)?, slot(row, pair.1)?))).collect()
 }
 
-/// The number of agents nearer to agent `center` at present than `agent_idx`, parked ones aside; of ties, the first.
+/// The number of agents nearer to agent `center` at present than `agent_idx`, parked ones aside; ties go to the smaller
+/// index.
 fn proximity_rank(scene: &Scene, center: usize, agent_idx: usize) -> usize {
     let key = |agent_idx: usize| (distance_m(scene, center, agent_idx), agent_idx);
     let own = key(agent_idx);

@@ -11,7 +11,8 @@ use crate::seed::Seed;
 /// How far from its target a parameter of the event may be: in seconds for times, otherwise in the parameter's unit.
 const HALF_WIDTH_S: f64 = 0.15;
 const HALF_WIDTH: f64 = 0.5;
-/// The weight of an outcome that takes everything the limits of driving allow; an effortless one has 1 more.
+/// The weight of an outcome that takes everything the limits of driving allow; an effortless one has this weight plus
+/// 1.
 const LEAST_EASE: f64 = 0.1;
 /// The least hardness of an outcome that is aimed at as a hard one: 2.5 s to spare.
 const LEAST_HARDNESS: f64 = 0.03125;

@@ -115,7 +115,8 @@ impl Footprint {
         from_other.chain(from_self).fold(f64::INFINITY, f64::min).sqrt()
     }
 
-    /// Whether the two boxes are less than `limit_m` apart; never at a limit of 0, the distance of boxes that overlap.
+    /// Whether the two boxes are less than `limit_m` apart; never at a limit of 0, since boxes that overlap are 0
+    /// apart.
     pub(crate) fn is_closer_than(&self, other: &Self, limit_m: f64) -> bool {
         if limit_m <= 0.0 {
             return false;

@@ -1,4 +1,5 @@
-//! Plane geometry in meters and radians, `f64`, without any input or output: points, frames, paths and boxes.
+//! Plane geometry in meters and radians, `f64`, without any input or output: how are points, frames, paths and boxes
+//! related?
 
 mod angle;
 pub(crate) mod footprint;

@@ -46,7 +46,8 @@ impl Polyline {
         self.0.last().copied()
     }
 
-    /// `n_points` points at equal distances from the first to the last. Empty without points or at 0.
+    /// `n_points` points at equal distances from the first to the last. Empty when there are no points or `n_points`
+    /// is 0.
     pub fn resampled(&self, n_points: usize) -> Self {
         // Their roots would take most of the time.
         let lengths_m: Vec<f64> = self.lengths_m().collect();

@@ -10,7 +10,8 @@ use candle_core::{Error, Result, Tensor, Var};
 
 /// A log potential of clean samples.
 pub trait CleanPotential {
-    /// The log potential J of each batch row, (B), higher is better. `x0` is (B, …). Differentiable in `x0`.
+    /// The log potential J of each batch row, (B), higher is better. `x0` is (B, …). Differentiable in `x0`, row by
+    /// row.
     fn log_potential(&self, x0: &Tensor) -> Result<Tensor>;
 }
 

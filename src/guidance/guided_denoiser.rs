@@ -31,7 +31,8 @@ impl GuidanceConfig {
     /// Guidance as in the paper's equation 3: at every noise level, however far it shifts.
     pub const UNRESTRICTED: Self = Self { sigma_hi: f64::MAX, max_shift: f64::MAX };
 
-    /// Whether guidance acts at a noise level. The bound belongs to it, in the single precision of samplers.
+    /// Whether guidance acts at a noise level. The bound belongs to it, in the single precision in which samplers pass
+    /// levels.
     pub(super) fn acts_at(&self, sigma: f64) -> bool {
         sigma as f32 <= self.sigma_hi as f32
     }

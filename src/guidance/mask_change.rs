@@ -14,14 +14,15 @@ use candle_core::{Error, Result, Tensor};
 /// - **State.** Where C is known, so is its noise, and where noise is correlated over time (A mixes timesteps) that
 ///   says something of the noise on S. What is left, x' = A'⁻¹ (yₛ - P (y_c - y_c0) - b'ₛ) with P = Σₛ_c Σ_cc⁻¹ and
 ///   Σ = A Aᵀ, is all that x says of S; with uncorrelated noise it is just yₛ in the coordinates of the extended mask.
-/// - **Noise level.** The noise of x' is σ G n with G the linear part of the map, white at the same σ exactly if G Gᵀ
-///   is the identity. That holds wherever the two masks give an agent the same frame and units: always in the scene
+/// - **Noise level.** The noise of x' is σ G n with G the linear part of the map, white at the same σ exactly if G
+///   Gᵀ = 1. That holds wherever the two masks give an agent the same frame and units: always in the scene
 ///   parametrization, and in the others for agents that the base mask observes up to the present, because their frame
 ///   is that of the last such state. (Brownian noise, known at the entries C, is the noise of the bridges of the
-///   extended mask.) An agent that only the extended mask observes changes its frame and units, and its noise has a
+///   extended mask.) An agent that only the extended mask observes changes its frame and units; its noise is then of a
 ///   wrong share.
 pub struct MaskChange {
-    /// Places on the flattened (B · A) axis of the agents whose masks differ, (K).
+    /// Places on the flattened (B · A) axis of the agents whose masks differ, (K); the others have the same mask in
+    /// both.
     changed: Option<Changed>,
 }
 

@@ -44,7 +44,8 @@ impl RoadCorridors {
         Self { strips, index, most_half_width_m }
     }
 
-    /// The center line of the strip that `point` is least outside of, or farthest inside. `None` without lanes.
+    /// The center line of the strip that `point` is the least distance outside of, or farthest inside. `None` without
+    /// lanes.
     pub(super) fn nearest(&self, point: Vec2) -> Option<NearestRoad> {
         let excess_m = |i: usize| {
             let nearest = self.strips[i].nearest(point);

@@ -116,7 +116,8 @@ pub(super) fn assemble(
     Ok((scene, counts))
 }
 
-/// A scene from tracks that were not recorded, chosen and framed as recorded ones are; `map` is the whole map.
+/// A scene from tracks that were not read from a recording, chosen and framed as recorded ones are; `map` is the whole
+/// map.
 ///
 /// # Errors
 /// Rejects what is rejected in recordings.
@@ -125,7 +126,8 @@ pub fn assemble_window(raw: RawScene, map: Option<Arc<LaneGraph>>, config: &Inge
     assemble(raw, map.as_ref(), config).map(|(scene, _)| scene)
 }
 
-/// Replaces recorded velocities by those of the positions, and counts the tracks whose recorded ones disagree.
+/// Replaces recorded velocities by those derived from the positions, and counts the tracks whose recorded ones
+/// disagree.
 fn derive_velocities(raw: &mut RawScene, counts: &mut IngestReport) {
     for track in &mut raw.tracks {
         let derived = track.trajectory.with_velocities_from_positions(raw.n_history, raw.dt_s);

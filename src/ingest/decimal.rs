@@ -6,12 +6,14 @@ const MAX_DIGITS: usize = 15;
 const POWERS_OF_TEN: [f64; MAX_DIGITS + 1] =
     [1e0, 1e1, 1e2, 1e3, 1e4, 1e5, 1e6, 1e7, 1e8, 1e9, 1e10, 1e11, 1e12, 1e13, 1e14, 1e15];
 
-/// The float nearest to the number in `cell`; `None` if it is not a number. It may be infinite or NaN, or overflow.
+/// The float nearest to the number in `cell`; `None` if it is not a number. It may be written as infinite or NaN, or
+/// overflow.
 pub(super) fn number(cell: &[u8]) -> Option<f64> {
     short_decimal(cell).or_else(|| std::str::from_utf8(cell).ok()?.parse().ok())
 }
 
-/// The whole number in `cell`, which may be printed as a float such as `12.0`; `None` if it is none, or beyond `i64`.
+/// The whole number in `cell`, which may be printed as a float such as `12.0`; `None` if it is not a whole number or
+/// beyond `i64`.
 pub(super) fn whole_number(cell: &[u8]) -> Option<i64> {
     if let Some(whole) = short_whole(cell) {
         return Some(whole);

@@ -45,7 +45,8 @@ pub struct Done {
     pub scenes: BTreeSet<u128>,
 }
 
-/// Reads the recordings of `config.inputs` and passes their scenes to `sink`, batch by batch, in its own thread.
+/// Reads the recordings of `config.inputs` and passes their scenes to `sink`, batch after batch, in a thread of its
+/// own.
 ///
 /// Batches, scenes and reports depend on the inputs and the configuration only, not on threads. To resume, pass the
 /// stored batches as `done`: their units are skipped without being parsed. Returns the report on everything, including

@@ -134,7 +134,8 @@ fn extent_of(scenes: &[Scene]) -> String {
     )
 }
 
-/// How many of the vehicles that move at present are on a lane and along it, and their share; `None` without lanes.
+/// How many of the vehicles that move at present are on a lane and along it, and the latter's share; `None` without
+/// lanes.
 fn on_lanes(scenes: &[Scene]) -> Option<(String, f64)> {
     let (mut n, mut n_on, mut n_along) = (0_u32, 0_u32, 0_u32);
     for (scene, track) in

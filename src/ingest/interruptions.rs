@@ -7,7 +7,8 @@ use crate::scene::{Derivation, State, Track, TrackRole, Trajectory};
 
 /// Longest short gap, seconds.
 const MAX_GAP_S: f64 = 1.0;
-/// A continuation is this close to where the last motion leads, meters, in speed, m/s, and in heading, radians.
+/// A continuation is this close to where the last motion leads, meters, with this close a speed, m/s, and heading,
+/// radians.
 const MAX_OFF_M: f64 = 1.0;
 const MAX_OFF_MPS: f64 = 3.0;
 const MAX_OFF_RAD: f64 = 0.5;

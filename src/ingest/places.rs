@@ -58,8 +58,9 @@ pub(super) fn name_blank_place(scene: &mut RawScene) {
     }
 }
 
-/// The reason why a scene cannot be stored by its place and its name in the dataset, and in words, if any: a corpus's
-/// folder of the place has at most 255 bytes, and all characters but letters and digits take three.
+/// The reason why a scene cannot be stored by its place and its name in the dataset, and in words, if any: a folder of
+/// a corpus with the name of the place can have at most 255 bytes, and all characters but letters and digits take
+/// three.
 pub(super) fn flaw_of(place: &str, case_id: &str) -> Option<(&'static str, String)> {
     const MAX_BYTES: usize = 240;
     for (reason, what, name) in [("bad_place", "place", place), ("bad_id", "id", case_id)] {

@@ -9,7 +9,8 @@ use std::collections::BTreeSet;
 const MIN_WIDTH_M: f64 = 1.0;
 /// The largest width of a lane anywhere, meters.
 const MAX_WIDTH_M: f64 = 20.0;
-/// A centerline has at least this share of the shorter bound's length, and the longer bound of the centerline's.
+/// A centerline has at least this share of the length of the shorter bound, and the longer bound this share of the
+/// centerline's.
 const MIN_LENGTH_SHARE: f64 = 0.5;
 /// A line that turns by more than the angle of this cosine, 170 degrees, between two segments doubles back.
 const COS_MAX_TURN: f64 = -0.984_807_753_012_208;

@@ -56,7 +56,8 @@ const FAULTS: [Fault; 6] = [
 /// The judgment of a track: not to be judged, sound, or doubtful with the figures.
 type Verdict = Option<Result<(), String>>;
 
-/// Adds the doubtful tracks to the findings of a scene, and wraps the recorded headings of its vehicles.
+/// Adds the doubtful tracks to the findings of a scene, and wraps the headings of its vehicles, which arrive as
+/// recorded.
 ///
 /// # Errors
 /// Rejects a scene if most of its tracks are implausible.

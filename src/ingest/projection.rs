@@ -2,7 +2,8 @@
 //!
 //! Lanelet2 projects with the universal transverse Mercator (UTM) zone of a map's origin and subtracts the origin's
 //! coordinates. The series is Krüger's to the sixth order in the third flattening (Karney, "Transverse Mercator with an
-//! accuracy of a few nanometers", Journal of Geodesy 85, 2011, equations 7 to 11 and 35); within a zone it is exact.
+//! accuracy of a few nanometers", Journal of Geodesy 85, 2011, equations 7 to 11 and 35); within a zone it is exact to
+//! nanometers.
 
 use crate::geometry::Vec2;
 use schemars::JsonSchema;

@@ -70,7 +70,8 @@ pub struct SeenTrack {
     pub jumps_s: Vec<f64>,
     /// The times of rows to which it leaps, and goes on from there.
     pub leaps_s: Vec<f64>,
-    /// Where it pointed while it stood for long, each until a time, as in the rows: seconds, and radians from x to y.
+    /// Where it pointed while it stood for long, each until a time, both as in the rows: seconds, and radians from x
+    /// to y.
     pub stood_rad: Vec<(f64, f64)>,
 }
 
@@ -183,7 +184,8 @@ pub struct Finding {
     pub detail: String,
 }
 
-/// A track that stands before it moves, without headings: those before `until_timestep` are placeholders.
+/// A track that stands before it moves, in a recording without headings: headings before `until_timestep` are
+/// placeholders.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct HeadingGap {
     /// Index of the track.

@@ -52,7 +52,8 @@ pub(super) enum HeadingSource {
     Unknown,
 }
 
-/// The states by frame. A heading that is not recorded is the direction of motion up to then, held while slow.
+/// The states by frame. A heading that is not recorded is the direction of the motion up to then, held while the agent
+/// is slow.
 fn states(observations: &[Observation], class: AgentClass) -> Vec<(i64, State, HeadingSource)> {
     let mut known_rad: Option<f64> = None;
     let mut states = Vec::with_capacity(observations.len());

@@ -23,7 +23,8 @@ pub struct IngestReport {
     pub scenes_by: BTreeMap<String, u64>,
     /// Rejected units and scenes by reason.
     pub rejects: BTreeMap<String, RejectCount>,
-    /// Counts of units, scenes and agents left out by the configuration, such as agents over the cap.
+    /// Counts of units, scenes and agents left out by the configuration, such as agents over the cap and scenes of
+    /// other places.
     pub dropped: BTreeMap<String, u64>,
     /// Counts of assumptions for data that is not recorded, such as headings of standing vehicles.
     pub assumed: BTreeMap<String, u64>,

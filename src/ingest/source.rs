@@ -62,7 +62,8 @@ pub trait RecordingSource: Sync {
         None
     }
 
-    /// The map that the recordings at `path` need, if it names it, so that a missing map is reported before reading.
+    /// The map that the recordings at `path` need, if the path names it, so that a missing map is reported before
+    /// reading.
     fn map_of(&self, _path: &str) -> Option<MapId> {
         None
     }

@@ -64,7 +64,8 @@ mod tests {
 
     #[test]
     fn long_agents_have_no_gaps() {
-        // Ends at ±5.05 m, halves at ±2.525 m. Beside the half, where the nearest of three would be 2.525 m off.
+        // Ends at ±5.05 m, halves at ±2.525 m. Beside the half, where the nearest of three circles would be 2.525 m
+        // off.
         let bus = agent(12.0, 0.0, 0.0, 0.0);
         let beside = |y: f64| agent(1.9, 2.525, y, 0.0);
         assert!(hit(&bus, &beside(1.94)) && hit(&beside(1.94), &bus) && !hit(&bus, &beside(1.96)));

@@ -11,7 +11,8 @@ const MIN_MOTION_M: f64 = 1.0;
 /// Collision rate: the share of samples in which any two agents collide.
 ///
 /// Two agents collide if their boxes overlap at the same future timestep at which both have a state. Pairs that already
-/// overlap at present, and pairs that both stand, do not count: recordings contain such pairs, too.
+/// overlap at present, and pairs that both stand, do not count: recordings contain such pairs, which tell nothing about
+/// the sample.
 #[derive(Debug, Clone, Copy)]
 pub struct CollisionRate;
 

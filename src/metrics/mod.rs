@@ -25,7 +25,8 @@
 //!   `cross_collision_rate`, EgoCollisionRate `ego_collision_rate`.
 //!
 //! The likelihood of a recorded future among all samples of a scene, as scored by the Waymo sim agents challenge, is
-//! not a [`Metric`]: [`Likelihoods`] finds a dozen values at once, and compares references by as many copies.
+//! not a [`Metric`]: [`Likelihoods`] finds a dozen values at once, and compares as many copies of a reference as there
+//! are samples.
 //!
 //! The benchmarks take six guesses: with more samples, compare the figures over six [`Modes`].
 

@@ -115,7 +115,8 @@ mod tests {
     use crate::metrics::constant_velocity;
     use crate::scene::testing::{self, Drive};
 
-    /// Two cars. The first goes straight on or turns left, by which the samples differ; others differ little.
+    /// Two cars. The first goes straight on or turns left, by which the samples differ; samples of one kind differ
+    /// little.
     fn samples() -> Vec<Scene> {
         let sample = |curvature_1pm: f64, y: f64| {
             let first = Drive { curvature_1pm, ..Drive::straight(0.0, 0.0, 0.0, 10.0) };

@@ -15,7 +15,8 @@ use serde::{Deserialize, Serialize};
 const DISTANCE_STRIDE: usize = 5;
 /// Below this speed headings are unreliable, meters per second.
 const MOVING_MPS: f64 = 1.0;
-/// Time between positions whose third differences are taken, seconds: the noise of positions is divided by its cube.
+/// Time between the positions whose third differences are taken, seconds: the noise of positions is divided by its
+/// cube.
 const JERK_STRIDE_S: f64 = 0.3;
 /// Times to collision are capped at this, seconds (as in the Waymo sim agents challenge).
 const MAX_TTC_S: f64 = 5.0;

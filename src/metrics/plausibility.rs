@@ -41,7 +41,8 @@ mod tests {
         let recorded: Vec<Scene> = (0..20).map(|i| alone(8.0 + 0.2 * f64::from(i))).collect();
         let ranges = RecordedRanges::of(&MotionHistograms::of(&recorded));
         assert_eq!(ranges.plausibility(&alone(10.0)), Some(1.0));
-        // One of speed, acceleration, jerk and yaw rate is out of range; there is no other agent nearby.
+        // One of four quantities, speed, acceleration, jerk and yaw rate, is out of range; there is no other agent
+        // nearby.
         assert_eq!(ranges.plausibility(&alone(14.0)), Some(0.75));
         assert_eq!(RecordedRanges::of(&MotionHistograms::default()).plausibility(&alone(14.0)), None);
     }

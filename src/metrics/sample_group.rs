@@ -30,7 +30,8 @@ impl<'a> SampleGroup<'a> {
         Self { recorded, samples, whole: None, probabilities: None, asked: Roles::none(), asked_to_collide: false }
     }
 
-    /// The probability of a sample; they sum to 1. `None` if there is no such sample, or no finite sum.
+    /// The probability of a sample; over all samples they sum to 1. `None` if there is no such sample, or no finite
+    /// sum.
     pub(super) fn probability(&self, sample_idx: usize) -> Option<f64> {
         let Some(probabilities) = self.probabilities else { return Some(1.0 / self.samples.len() as f64) };
         let sum: f64 = probabilities.iter().sum();

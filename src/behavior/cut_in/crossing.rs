@@ -8,7 +8,8 @@ use crate::behavior::kept_lane::KeptLane;
 use crate::geometry::{Projection, Vec2, angle_difference};
 use crate::scene::{Scene, State, Track};
 
-/// How long the other must stay in the lane, and how long after its arrival both may still move over, seconds.
+/// How long the other must stay in the lane, and how long after its arrival in the lane both may still move over,
+/// seconds.
 const SETTLING_S: f64 = 1.0;
 /// Both must move at least this fast, m/s: a standing agent is not cut off, and its heading may be noise.
 const MIN_SPEED_MPS: f64 = 1.0;
@@ -209,7 +210,8 @@ impl LaneCrossing<'_> {
         Some(LanePlace { station_m, offset_m, heading_rad, half_along_m, half_across_m })
     }
 
-    /// (t_other, t_ego) with the ego replayed straight along its lane. `None` also if the other is in it at present.
+    /// (t_other, t_ego) with the ego replayed straight along its lane. `None` also if the other is in its strip already
+    /// at present.
     fn replayed(&self, places: &[[Option<LanePlace>; 2]]) -> Option<(usize, usize)> {
         let (scene, extent) = (self.scene, self.scene.tracks[self.pair[0]].extent_or_nominal());
         let kept_offset_m = places[scene.current_timestep()][0]?.offset_m;

@@ -19,7 +19,8 @@ const LEAST_HEADWAY_S: f64 = 0.4;
 /// The smallest gap, and by how much a corner of a box that is turned enters the path before its side, meters.
 const LEAST_GAP_M: f64 = 0.3;
 const CORNER_M: f64 = 0.2;
-/// How long before the scene ends the ego must reach the place where the other came in, even if it brakes, seconds.
+/// How long before the end of the scene the ego must reach the place where the other came in, even if it brakes,
+/// seconds.
 const TO_SPARE_S: f64 = 0.5;
 /// A vehicle that drifts away from the ego's lane faster than this does not cut in at once, m/s.
 const AWAY_MPS: f64 = 0.5;

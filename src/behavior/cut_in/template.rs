@@ -14,7 +14,8 @@ use crate::geometry::{Vec2, angle_difference};
 use crate::scene::Scene;
 use std::collections::BTreeMap;
 
-/// The search for the time at which the box enters the path: spacing in seconds, and corrections of the start.
+/// The search for the time at which the box enters the path: spacing of times in seconds, and how often the start is
+/// corrected.
 const STEP_S: f64 = 0.02;
 const N_CORRECTIONS: usize = 2;
 /// How long before the end of the scene the other must be in the lane, seconds.
@@ -170,7 +171,8 @@ struct Braking {
 
 impl Pair {
     /// How the ego brakes for the other: in the given `style`, or as hard as it must to keep its distance. `None` if it
-    /// would have to brake too hard, or would reach the place where the other came in too late. It reacts late.
+    /// would have to brake too hard, or would reach the place where the other came in too late. It reacts as late as
+    /// leaves it that.
     fn braking(&self, plan: &CutInPlan, max_delay_s: f64, style: Style) -> Option<Braking> {
         let gap_m = plan.outcome.get("gap_m")?;
         // A vehicle that is too close behind falls back.

@@ -1,4 +1,5 @@
-//! Cut-in as defined by the DJINN paper: does a vehicle get into the path of another shortly before it gets there?
+//! Cut-in as defined by the DJINN paper: does one vehicle get into the path of another shortly before the other gets
+//! there?
 
 #[cfg(test)]
 mod tests;

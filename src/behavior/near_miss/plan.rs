@@ -55,7 +55,8 @@ struct Search<'a> {
     drivers: [Driver; 2],
     /// The box of each, and the inner part of it.
     extents: [[Extent; 2]; 2],
-    /// Others that may be in the way of each of the two: their boxes if they go straight, one list per timestep.
+    /// Other agents that may be in the way of each of the two: their boxes if they continue straight, one list per
+    /// timestep.
     others: [Vec<Vec<Footprint>>; 2],
     dt_s: f64,
     /// Courses on which one brakes.

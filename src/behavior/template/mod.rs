@@ -151,7 +151,8 @@ fn past(scene: &Scene, agent_idx: usize) -> Vec<Vec2> {
     past.map(|state| state.position).collect()
 }
 
-/// The acceleration at the end of a past, m/s², by a parabola through its last positions. `None` if there are too few.
+/// The acceleration at the end of a past, m/s²: that of the parabola fitted to its last positions. `None` if there are
+/// too few.
 fn acceleration(past: &[Vec2], dt_s: f64) -> Option<Vec2> {
     let last = &past[past.len().saturating_sub(N_OBSERVED)..];
     let n = last.len() as f64;
@@ -166,7 +167,8 @@ fn acceleration(past: &[Vec2], dt_s: f64) -> Option<Vec2> {
 }
 
 /// The states of an agent with the positions `past`, the present state `now` and the later `positions`. Velocities are
-/// slopes of the positions, as those of sampled states are. Headings follow the motion, or stay.
+/// slopes of the positions, as those of sampled states are. Headings follow the motion, and stay while the agent
+/// stands.
 fn states(now: &State, dt_s: f64, past: &[Vec2], positions: &[Vec2]) -> Vec<State> {
     let course: Vec<Vec2> = past.iter().chain(positions).copied().collect();
     let velocity = |idx: usize| velocity_at(|offset| course.get(idx.checked_add_signed(offset)?).copied(), dt_s);

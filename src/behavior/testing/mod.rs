@@ -58,7 +58,8 @@ const FORK: &str = "
     { id = 2, centerline = [[20.0, 0.0], [100.0, 0.0]] },
     { id = 3, centerline = [";
 
-/// A main road along x with the right of way, and a side road along y that crosses it and has this role in the rule.
+/// A main road along x that has the right of way, and a side road along y that crosses it and has this role in the
+/// rule.
 pub(crate) fn side_road(role: &str) -> LaneGraph {
     side_road_onto(role, "[0, -6], [0, 100]")
 }

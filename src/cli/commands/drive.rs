@@ -1,4 +1,5 @@
-//! `djinn drive` and `djinn score`: a driving function in the scenarios of a corpus, with others that answer or do not.
+//! `djinn drive` and `djinn score`: a driving function in the scenarios of a corpus, with others that answer to it or
+//! do not.
 
 use super::{begins_anew, use_threads};
 use crate::cli::args::{DriveArgs, DriveGates, OutputArgs, ScoreArgs};

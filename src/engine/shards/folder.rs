@@ -35,7 +35,8 @@ struct About {
     /// Whether it was made for several workers. No other process knows of a plan that a process made for itself, so
     /// that one is discarded without asking.
     is_shared: bool,
-    /// Whether the stage was requested to be done again, so that finished work does not make the plan needless.
+    /// Whether the stage was requested to be done again, so that finished work with the same settings does not make the
+    /// plan needless.
     redoes: bool,
 }
 

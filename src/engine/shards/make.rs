@@ -62,7 +62,8 @@ impl Worker {
     pub(super) const ALONE: Self = Self { number: 1, of: 1 };
 
     /// The order in which this worker takes the shards: its own first, then those of other workers from the end
-    /// backward, because those are reached last. Every worker starts at a different shard.
+    /// backward, because those are reached last. Every worker starts at a different shard, so that they do not all take
+    /// the same one.
     pub(super) fn order(self, n_shards: usize) -> impl Iterator<Item = usize> {
         let own = (self.number - 1..n_shards).step_by(self.of);
         let others = move || (0..n_shards).rev().filter(move |idx| idx % self.of != self.number - 1);

@@ -1,4 +1,5 @@
-//! A stage that is divided into shards, which any number of processes make: who plans, makes and publishes?
+//! A stage that is divided into shards, which any number of processes make: who plans, who makes which shard, who
+//! publishes?
 //!
 //! A shard is a function of the plan and its index alone, so there are no leases and no coordinator: if two workers
 //! make the same shard, that costs time but not correctness. One process plans ([`plan`]), workers make shards

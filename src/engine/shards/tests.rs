@@ -290,7 +290,8 @@ fn the_folder_alone_tells_how_far_the_shards_are() {
         planned.finish(idx, seconds);
     }
     assert!(status().text().contains("time left         unknown: no worker is at work; a shard takes one 40 s"));
-    // Two shards are at work, one for less than five times the usual time; one try died long ago, ten of another shard.
+    // Two shards are at work, one for less than five times the usual time; one try died long ago, and ten tries of
+    // another shard.
     for (idx, number, age_s) in [(1, 1, 0), (2, 2, 190), (3, 1, 210)] {
         let mark = fs_err::File::create(planned.folder.try_path(idx, number)).unwrap();
         mark.file().set_modified(std::time::SystemTime::now() - Duration::from_secs(age_s)).unwrap();

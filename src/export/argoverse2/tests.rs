@@ -1,4 +1,5 @@
-//! Argoverse 2: do rows and maps meet the expectations of the dataset's readers, and of our own?
+//! Argoverse 2: do rows and maps meet the expectations of the dataset's readers, and does our own reader read them
+//! back?
 
 use super::*;
 use crate::export::testing::{self, add_all, assert_same_states, read};

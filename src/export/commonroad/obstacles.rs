@@ -57,7 +57,8 @@ fn obstacle(track: &Track, states: &[State]) -> Element {
         .child(element("trajectory").children(later))
 }
 
-/// The format's type of a road user. Who may be a pedestrian or a cyclist becomes a pedestrian.
+/// The format's type of a road user. Pedestrians and cyclists that the recording does not distinguish become
+/// pedestrians.
 const fn kind(class: AgentClass) -> &'static str {
     match class {
         AgentClass::Vehicle => "car",

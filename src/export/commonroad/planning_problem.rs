@@ -11,7 +11,8 @@ const GOAL_DURATION_S: f64 = 1.0;
 
 /// The planning problem of a scenario. The goal is to come through: to drive in the last second, anywhere. The end of
 /// the scenario's ego is not a goal, because a planner that brakes for the event would miss it; nor are the lanes
-/// ahead, because planners lead their paths only to the first. `None` if the ego has no state at present or later.
+/// ahead, because planners lead their paths only to the first of them. `None` if the ego has no state at present, or
+/// none after it.
 pub(super) fn of(item: &Item<'_>) -> Option<Element> {
     let (scene, states) = (item.scene(), item.world_states(item.ego_idx));
     let present = scene.current_timestep();

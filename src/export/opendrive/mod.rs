@@ -38,7 +38,8 @@ struct Road<'l> {
     edges: Vec<Edges>,
 }
 
-/// The roads of a map, in its frame; `None` if no lane has any length. Numbered from 1, in the order of leftmost lanes.
+/// The roads of a map, in its frame; `None` if no lane has any length. Roads are numbered from 1, in the order of their
+/// leftmost lanes.
 pub(super) fn of(map: &LaneGraph) -> Option<RoadNetwork> {
     let mut n_nominal = 0;
     let mut roads = Vec::new();
@@ -142,7 +143,8 @@ fn geometry(piece: &Piece) -> Element {
         .child(shape)
 }
 
-/// The records of a value that is linear between the places of its edges, without those that the previous one predicts.
+/// The records of a value that is linear between the places of its edges; no record repeats the prediction of the
+/// previous one.
 fn records(name: &'static str, place: &'static str, edges: &[Edges], of: impl Fn(&Edges) -> f64) -> Vec<Element> {
     let mut found = Vec::new();
     // The start of the last record, its value there, and its slope.

@@ -15,7 +15,8 @@ const STRAIGHT_RAD: f64 = 1e-4;
 const SQUARE_M: f64 = 0.055;
 /// Ends that are more oblique than this are not squared, radians.
 const MOST_OBLIQUE_RAD: f64 = 1.0;
-/// Points of the polyline that are closer are merged, because shorter pieces have no reliable direction, meters.
+/// Points of the polyline that are closer together are merged, because shorter pieces have no reliable direction,
+/// meters.
 const MIN_SPACING_M: f64 = 0.05;
 
 /// A piece of the curve.
@@ -196,7 +197,8 @@ mod tests {
             let (end, heading_rad) = pair[0].at(1.0);
             assert!(end.distance(pair[1].start) < 1e-9 && wrap_angle(heading_rad - pair[1].heading_rad).abs() < 1e-9);
         }
-        // Half way round the right angle: 1/4 of the way from the corner to the middle of the ends, times √2.
+        // Half way round the right angle: 1/4 of the way from the corner to the middle of the parabola's ends, times
+        // √2.
         let corner = line.pieces[1];
         let (middle, heading_rad) = corner.at(0.5);
         assert!((middle.distance(points[2]) - ROUNDED_BY_M).abs() < 1e-6, "{}", middle.distance(points[2]));

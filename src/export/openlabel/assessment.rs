@@ -11,7 +11,11 @@ use arrow::array::{Array, AsArray};
 use arrow::datatypes::{DataType, Field, Float64Type};
 use serde_json::{Map, Value, json};
 
-/// The tag of the assessment, and one for each failed validity check. Undefined values are left out.
+/// The tag of the assessment, and one for each failed validity check. Values that are not defined for the scenario are
+/// left out.
+///
+/// # Errors
+/// [`crate::store::Error::Invalid`] when the assessment cannot be a row of the scenario table.
 pub(super) fn tags(scene: &Scene, judged: &Assessment) -> Result<Vec<Value>> {
     let (mut text, mut flags, mut numbers) = (Vec::new(), Vec::new(), Vec::new());
     for (field, array) in assessment_columns(judged)?.iter().filter(|(_, array)| array.is_valid(0)) {

@@ -181,7 +181,8 @@ impl Buckets {
     }
 }
 
-/// Distributes `n` in proportion to weights: whole numbers first, the rest to the largest fractions, in order.
+/// Distributes `n` in proportion to weights: whole numbers first, the rest to the largest fractions, the first among
+/// equal ones.
 fn apportion(n: u64, weights: &[f64]) -> Vec<u64> {
     let sum: f64 = weights.iter().sum();
     let exact: Vec<f64> = weights.iter().map(|weight| n as f64 * weight / sum).collect();

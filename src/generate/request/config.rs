@@ -133,7 +133,8 @@ pub struct BudgetConfig {
 }
 
 impl BudgetConfig {
-    /// How many more samples of `n_evaluations` each the budget allows once `spent` (samples, evaluations) is spent.
+    /// How many more samples of `n_evaluations` evaluations each the budget allows once `spent` (samples, evaluations)
+    /// is spent.
     pub(super) fn samples_left(&self, (n_samples, n_spent): (u64, u64), n_evaluations: u64) -> u64 {
         let by_samples = self.n_samples.map(|most| most.saturating_sub(n_samples));
         let by_evaluations = self.n_evaluations.map(|most| most.saturating_sub(n_spent) / n_evaluations.max(1));

@@ -1,4 +1,5 @@
-//! Which facts of an event can a request name? Its parameters, the place, coverage, and classes of its agents.
+//! Which facts of an event can a request name? Its parameters, the place, attributes of coverage, and classes of its
+//! agents.
 
 use super::config::{Divisions, Requirement};
 use crate::behavior::{BehaviorEntry, BehaviorEvent};

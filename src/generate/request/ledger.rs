@@ -308,7 +308,8 @@ impl Ledger {
         self.accepted[bucket] < self.wanted[bucket].min(self.room[bucket])
     }
 
-    /// Whether the requested agents move almost as in an accepted scenario, or in one `of_shard` not counted yet.
+    /// Whether the requested agents move almost as in an accepted scenario, or in one `of_shard` that is not counted
+    /// yet.
     pub(super) fn has_like(&self, path: &PairPath, of_shard: &[&PairPath]) -> bool {
         let is_near = |distance_m: f64| distance_m < self.duplicate_distance_m;
         self.paths.nearest(&self.behavior, path).is_some_and(|(_, distance_m)| is_near(distance_m))

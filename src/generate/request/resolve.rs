@@ -49,7 +49,8 @@ pub struct ResolvedRequest {
     pub buckets: Buckets,
     /// The ways of sampling that may be tried.
     pub arms: Vec<Arm>,
-    /// A scenario whose requested agents move closer to an accepted one than this is a near-duplicate of it, meters.
+    /// A scenario in which the requested agents move closer to an accepted one than this is a near-duplicate of it,
+    /// meters.
     pub duplicate_distance_m: f64,
 }
 

@@ -10,7 +10,8 @@ use crate::seed::Seed;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// How much untried cells are expected to differ: the shape of the gamma distribution of their rates.
+/// How much untried cells are expected to differ: their rates relative to the mean have a gamma distribution of this
+/// shape.
 const CELL_SHAPE: f64 = 0.5;
 /// The prior of the hit rate of an arm before it is tried: half a hit and one miss.
 const PRIOR_HITS: f64 = 0.5;

@@ -72,7 +72,8 @@ pub struct Diffusion {
     pub classifier_free: Option<ClassifierFreeConfig>,
     /// Edits of the recording that samples start from.
     pub edit: Option<EditConfig>,
-    /// The parameters of the event for which the template of the requested agents is solved. Empty: none.
+    /// The parameters of the event for which the template of the requested agents is solved. Empty: there is no
+    /// template.
     pub template: &'static [&'static str],
 }
 

@@ -96,7 +96,8 @@ fn classifier_and_objectives_act_together() {
     assert!(guided.iter().zip(&classified).any(|(a, b)| difference_m(&a.scenario.scene, &b.scenario.scene) > 1e-3));
 }
 
-/// An untrained classifier prefers something or other; log odds pull harder than log p, which alone is tested here.
+/// An untrained classifier prefers something or other; log odds pull harder than log p, and only this difference is
+/// tested here.
 #[test]
 fn a_classifier_guides_the_pair_by_either_potential() {
     let run = |rest: &str| generate(&config(&format!("{SWEEPS}{rest}"))).split_off(15);

@@ -10,7 +10,8 @@ const LEAST_STEP_M: f64 = 0.05;
 /// Rounding of the distance beside a path at zero, meters.
 const ROUNDING_M: f64 = 0.05;
 
-/// An agent relative to the path of another, from its nearest pose, (B, T) each. No gradient pulls at the path.
+/// An agent relative to the path of another, from its nearest pose, (B, T) each. The path is held: no gradient pulls at
+/// it.
 pub(super) struct PathFrame {
     /// Distance along the path from its owner at this timestep, less half of both lengths, meters.
     pub(super) gap_m: Tensor,

@@ -27,7 +27,8 @@ pub(super) fn rate(x: &Tensor, dt_s: f64) -> Result<Tensor> {
     (x.narrow(2, 1, n)? - x.narrow(2, 0, n)?)? * (1.0 / dt_s)
 }
 
-/// √(‖v‖² + r²) over the last dimension, with r = 0.05: the norm, rounded at zero for a gradient there. Never 0.
+/// √(‖v‖² + r²) over the last dimension, with r = 0.05: the norm, rounded at zero so that it has a gradient there.
+/// Never 0.
 pub(super) fn norm(v: &Tensor) -> Result<Tensor> {
     (v.sqr()?.sum(D::Minus1)? + ROUNDING * ROUNDING)?.sqrt()
 }

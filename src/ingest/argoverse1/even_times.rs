@@ -13,7 +13,8 @@ use crate::scene::{RecordedPosition, State, motion_heading};
 /// A track has a timestep if one of its rows is this near, seconds, or if the rows around the timestep are consecutive
 /// in the file.
 const NEAR_S: f64 = DT_S / 2.0;
-/// The tolerance before the first and after the last time of the file, seconds: 49 steps may take less than 4.9 s.
+/// The tolerance before the first and after the last time of the file, seconds: 49 steps may take slightly less than
+/// 4.9 s.
 const NEAR_END_S: f64 = 1.5 * DT_S;
 
 /// Times closer than this are equal, seconds.

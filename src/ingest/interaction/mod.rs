@@ -100,7 +100,8 @@ impl RecordingSource for Interaction<'_> {
 
     fn n_bytes_parsed(&self, unit: &RawUnit) -> u64 {
         let is_recording = unit.header.is_empty();
-        // The states of a recording's tracks take as much memory as its text, and stay until its last window is made.
+        // The states of a recording's tracks take about as much memory as its text, and stay until its last window is
+        // made.
         unit.n_bytes() * if is_recording { 2 } else { 1 }
     }
 

@@ -122,7 +122,8 @@ impl Recordings {
         self.held.remove(key).map_or(ControlFlow::Continue(()), |unit| emit(Ok(unit)))
     }
 
-    /// Emits the held files, each as a recording of its own: its counterpart has disappeared since the first pass.
+    /// Emits the held files, each as a recording of its own: its counterpart was there in the first pass and has
+    /// disappeared.
     pub(super) fn flush(&mut self, emit: &mut EmitUnit<'_>) -> ControlFlow<()> {
         std::mem::take(&mut self.held).into_values().try_for_each(|unit| emit(Ok(unit)))
     }

@@ -23,7 +23,8 @@ pub(super) fn case(unit: &RawUnit, horizon: Horizon) -> Result<RawScene, Reject>
     let Some((min_frame, max_frame)) = frames(&tracks) else {
         return Err(unit.reject_at("no_rows", unit.first_line, format!("case {} has no rows", unit.case_id)));
     };
-    // Frames are numbered from 1 in each case. Tables with the numbers of the recording begin with the first agent.
+    // Frames are numbered from 1 in each case. Tables of tools that keep the numbers of the recording begin with the
+    // first agent.
     let n_case_frames = CASE_HORIZON.n_timesteps() as i64;
     let is_numbered_from_one = 1 <= min_frame && max_frame <= n_case_frames;
     let first_of_case = if is_numbered_from_one { 1 } else { min_frame };

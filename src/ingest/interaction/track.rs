@@ -96,7 +96,8 @@ fn class_of(agent_type: &[u8]) -> Option<AgentClass> {
     }
 }
 
-/// Maximum number of tracks of a recording; each takes some kilobytes, and real recordings have thousands.
+/// Maximum number of tracks of a recording; each takes some kilobytes while it is read, and real recordings have
+/// thousands.
 const MAX_TRACKS: usize = 100_000;
 
 /// The tracks that are being read.

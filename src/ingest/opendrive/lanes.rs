@@ -128,7 +128,8 @@ impl Lanes<'_> {
         Ok(())
     }
 
-    /// Connects lanes as the map says. Where that contradicts their places, lanes continue where others begin.
+    /// Connects lanes as the map says. Where that contradicts their places, lanes continue in those that begin where
+    /// they end.
     fn connect(&mut self, connections: &[Connection], report: &mut MapReport) {
         let mut touching = Touching::of(self.roads, connections);
         touching.pass_on(|key| self.short.contains(key));

@@ -7,7 +7,8 @@ use super::section::{RoadLane, Section};
 use super::{MAX_ROUNDING_M, SAME_M};
 use crate::geometry::{Polyline, Vec2, angle_difference};
 
-/// Points are at most this far apart along the road, meters, and as close as a bend requires for millimeters.
+/// Points are at most this far apart along the road, meters, and as close as a bend requires for an error of
+/// millimeters.
 const MAX_STEP_M: f64 = 2.0;
 const MIN_STEP_M: f64 = 0.1;
 const MAX_ERROR_M: f64 = 0.005;

@@ -74,7 +74,8 @@ impl Rows<'_> {
         })
     }
 
-    /// The size of a track: the medians of the lengths and widths in its rows, or those of the table of tracks.
+    /// The size of a track: the median of the lengths and that of the widths in its rows, or those of the table of
+    /// tracks.
     pub(super) fn extent(
         &self,
         id: &str,

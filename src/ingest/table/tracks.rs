@@ -12,7 +12,8 @@ use crate::ingest::windows::Recording;
 use crate::ingest::{RawUnit, Reject};
 use crate::scene::{Dataset, Extent, State, TrackId, velocity_at};
 
-/// Frames are numbered by the times of the recording unless these are this far from 0, as times of day are, seconds.
+/// Frames are numbered by the times of the recording unless these are further than this from 0, as times of day are,
+/// seconds.
 const MAX_START_S: f64 = 1e6;
 /// The longest recording, seconds; see [`windows`](crate::ingest::windows).
 pub(super) const MAX_RECORDING_S: f64 = 1e5;

@@ -1,4 +1,5 @@
-//! What is read and written of the protocol buffers `scenario.proto` and `map.proto`, by their field numbers.
+//! What is read and written of the protocol buffers of the dataset's `scenario.proto` and `map.proto`, by their field
+//! numbers.
 //!
 //! Everything else in a message, such as heights and the features of sensors, is passed over.
 

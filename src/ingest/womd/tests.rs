@@ -1,4 +1,5 @@
-//! What is read of records, whole and damaged ones; `scripts/check_womd.py` compares whole files with the dataset's.
+//! What is read of records, whole and damaged ones; `scripts/check_womd.py` compares whole files with the dataset's own
+//! reading.
 
 use super::messages::{
     BoundarySegment, Crosswalk, DynamicMapState, FeatureData, LaneCenter, LaneNeighbor, MapFeature, MapPoint,

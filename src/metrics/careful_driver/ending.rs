@@ -1,4 +1,5 @@
-//! The motion after the last state of a scenario: does the subject drive into another, and could a careful driver not?
+//! The motion after the last state of a scenario: does the subject drive into another agent, and could a careful driver
+//! avoid it?
 
 use super::braking::Braking;
 use super::regulation::DELAY_S;
@@ -34,7 +35,8 @@ pub struct Ending {
     /// The relative speed of the contact that remains if the careful driver takes over at the last state, m/s: it
     /// brakes 0.75 s later, or at once if the subject brakes already. `None` if they do not touch.
     pub remaining_mps: Option<f64>,
-    /// Whether the subject reacts: slows down by at least 1 m/s² over half a second since the event began.
+    /// Whether the subject reacts: slows down by at least 1 m/s² over half a second, at some time since the event
+    /// began.
     pub subject_reacts: bool,
 }
 
@@ -81,7 +83,8 @@ impl Ending {
     }
 }
 
-/// The agents ahead that the subject touches within a second after `last` if nobody brakes: when, and their state then.
+/// The agents ahead of the subject that it touches within a second after `last` if nobody brakes: when, and their state
+/// at that time.
 fn met(scene: &Scene, subject_idx: usize, last: usize) -> Vec<(f64, &Track, &State)> {
     let at = |agent_idx: usize| {
         let (track, state) = (&scene.tracks[agent_idx], scene.state(agent_idx, last)?);
@@ -161,7 +164,8 @@ mod tests {
         assert!((near.required_deceleration_mps2 - 6.25).abs() < 0.1, "{near:?}");
         // Its reaction takes until 0.5 m are left, so hardly anything of 10 m/s is gone.
         assert!(near.remaining_mps.is_some_and(|mps| (9.5..10.0).contains(&mps)) && !near.subject_reacts, "{near:?}");
-        // A subject that brakes already continues: 10 m/s take 1.6 s, in which 8.9 m are needed: 9.9 m are enough.
+        // A subject that brakes already continues: 10 m/s take 1.6 s in all, in which 8.9 m are needed, so 9.9 m are
+        // enough.
         let braking = ending(9.9, 0.0, true);
         assert!(braking.subject_reacts && braking.remaining_mps.is_none(), "{braking:?}");
         assert!(braking.contact_s.is_some(), "{braking:?}");

@@ -198,7 +198,8 @@ impl<'a> CarefulReplay<'a> {
         Some((self.way.place(track, &state)?, body(track, &state)))
     }
 
-    /// The first of those who can touch the ego that touches it at a timestep. Who does so at its rear cannot again.
+    /// The first of those who can touch the ego that touches it at a timestep. Whoever does so at its rear cannot any
+    /// more.
     fn touched(&self, ego: &State, timestep: usize, can_touch: &mut [bool]) -> Option<usize> {
         let own = body(&self.scene.tracks[self.ego_idx], ego);
         (0..self.places.len()).find(|agent_idx| {

@@ -9,9 +9,11 @@
 //!    than 0.375 m, or is in the lane; within that it only wanders. Maps need not show lanes, so its place is where it
 //!    was farthest from the path up to then. *Cut-out:* the vehicle ahead, which hides those ahead of it, has left its
 //!    place by more than 0.375 m. *Deceleration:* the vehicle ahead brakes with more than 5 m/s². *Pedestrian:*
-//!    somebody walks toward the path; the regulation only says when a collision must be avoided; this is ours.
+//!    somebody walks toward the path; the regulation only says from when on a collision must be avoided, so this is
+//!    ours.
 //! 2. *Danger.* After a cut-in, if the time to collision along the path is at most 2 s; after a cut-out or
-//!    deceleration, if the headway is; for a pedestrian, as soon as stopping takes as far, unless it has passed.
+//!    deceleration, if the headway is; for a pedestrian, as soon as stopping takes as far, unless the ego has passed
+//!    before.
 //! 3. *Reaction.* 0.75 s later it brakes: the deceleration grows evenly over 0.6 s to 0.774 g, and stays until the
 //!    danger is over: the other is out of the way or no slower, or the ego stands before a pedestrian.
 //!

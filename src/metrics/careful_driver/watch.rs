@@ -179,7 +179,8 @@ impl Watch {
         now_s - self.farthest_at_s
     }
 
-    /// The deceleration for the other by a driver who takes `later_s` longer than the regulation's, m/s²; 0 at first.
+    /// The deceleration for the other by a driver who takes `later_s` longer than the regulation's, m/s²; 0 before
+    /// braking begins.
     pub(super) fn braking_mps2(&self, now_s: f64, later_s: f64) -> f64 {
         let ramp = self.danger_s.map_or(0.0, |danger_s| (now_s - danger_s - DELAY_S - later_s) / RAMP_S);
         MAX_DECELERATION_MPS2 * ramp.clamp(0.0, 1.0)

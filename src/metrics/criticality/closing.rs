@@ -35,7 +35,8 @@ fn meetings<'a>(
     })
 }
 
-/// Time to collision and the deceleration rate that avoids it; `None` if they would not collide in the longest time.
+/// Time to collision and the deceleration rate that avoids it; `None` if the agents would not collide within the
+/// longest time.
 fn ttc_and_drac([(one, own), (other, theirs)]: Meeting<'_>) -> Option<(f64, f64)> {
     let ttc_s = time_to_collision_s(one, own, other, theirs).filter(|ttc_s| *ttc_s <= MAX_TTC_S)?;
     let drac_mps2 = (own - theirs).norm() / (2.0 * ttc_s);

@@ -1,4 +1,5 @@
-//! How close does a scene come to a collision? Surrogate measures of safety, for one pair of road users and the worst.
+//! How close does a scene come to a collision? Surrogate measures of safety, for one pair of road users and for the
+//! worst pair.
 //!
 //! All measures are taken over the future, the timesteps from `n_history` on, and from positions and headings alone, so
 //! that recorded and generated scenes are measured alike. A measure that is not defined, such as a time to collision
@@ -71,7 +72,8 @@ pub struct SceneCriticality {
 }
 
 impl PairCriticality {
-    /// The criticality of two agents, by their indices; `None` if they are never tracked together in the future.
+    /// The criticality of two agents of a scene, by their indices; `None` if they are never tracked together in the
+    /// future.
     pub fn of(scene: &Scene, pair: [usize; 2]) -> Option<Self> {
         let [first, second] = [MovingAgent::of(scene, pair[0])?, MovingAgent::of(scene, pair[1])?];
         let (min_distance_m, _) = first.sweep.min_distance_m(&second.sweep, future(scene))?;

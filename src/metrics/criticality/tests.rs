@@ -1,4 +1,5 @@
-//! Closed forms: head-on, following, crossing, side by side, standing, overlapping; and the search against all pairs.
+//! Closed forms: head-on, following, crossing, side by side, standing, overlapping; and the quick search against all
+//! pairs.
 
 use super::closing::MAX_DRAC_MPS2;
 use super::*;

@@ -1,4 +1,5 @@
-//! The features that distinguish tracks: of one track in one future, without tensors and velocities.
+//! The features that distinguish tracks: of one track in one future, without tensors and without the column of
+//! velocities.
 //!
 //! Positions p_t and headings θ_t are rounded to 1 mm and 1 mrad in the frame of the recording, as INTERACTION
 //! publishes them, so that digits give nothing away. With Δt the time between timesteps and t₀ the present:

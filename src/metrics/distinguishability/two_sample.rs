@@ -100,7 +100,8 @@ impl TwoSampleTest {
         Some(test)
     }
 
-    /// The number of pairs for which `is_meant` holds, and the area by all features; `None` if there are too few.
+    /// The number of pairs for which `is_meant` holds, and the area by all features over them; `None` if there are too
+    /// few.
     pub fn of_part(&self, pairs: &[TrackPair], is_meant: impl Fn(usize) -> bool) -> Option<(usize, Auc)> {
         part(pairs, &self.log_odds, is_meant)
     }

@@ -61,7 +61,8 @@ fn is_coordinate(name: &str) -> bool {
     has_unit && !name.starts_with("t_")
 }
 
-/// The least spread, in the unit of the parameter. If egos keep their lanes exactly, a centimeter is nothing new.
+/// The least spread, in the unit of the parameter. If egos keep their lanes to the micrometer, a shift of a centimeter
+/// is nothing new.
 const LEAST_SPREAD: f64 = 0.1;
 
 /// The robust standard deviation of values, at least [`LEAST_SPREAD`]; `None` if they do not vary.

@@ -13,9 +13,11 @@ pub const DUPLICATE_DISTANCE_M: f64 = 0.25;
 const SPACING_S: f64 = 0.5;
 
 /// The future positions of the requested agents (both of a pair), in the frame of the first of them at present: origin
-/// at its position, x axis along its heading. Only relative motion counts.
+/// at its position, x axis along its heading. Scenarios of different places are thus comparable, and only relative
+/// motion counts.
 ///
-/// Motion is smooth and all accepted scenarios stay in memory, so the middle of each half second represents it.
+/// Because motion is smooth and all accepted scenarios stay in memory, the position in the middle of each half second
+/// represents it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct PairPath {
     /// One position for each agent and half second, meters. An agent without a state stays at its last position.
@@ -27,7 +29,8 @@ pub struct PairPath {
 impl Eq for PairPath {}
 
 impl PairPath {
-    /// The path of the agents with these roles; `None` without roles, or if one is not tracked at present.
+    /// The path of the agents with these roles; `None` without roles, or if one of the agents is not tracked at
+    /// present.
     pub fn of(scene: &Scene, asked: &Roles) -> Option<Self> {
         let present = scene.current_timestep();
         let agents: Vec<usize> = asked.tracks().map(|track| scene.track_idx(track)).collect::<Option<_>>()?;
@@ -48,7 +51,8 @@ impl PairPath {
         Some(Self { points: points.into(), n_agents: agents.len() })
     }
 
-    /// Mean distance between the positions of the same agent at the same time, meters. A metric: the mean of norms.
+    /// Mean distance between the positions of the same agent at the same time, meters. It is a metric: the mean of
+    /// norms.
     pub fn distance_m(&self, other: &Self) -> f64 {
         let apart = |(a, b): (&[f32; 2], &[f32; 2])| {
             Vec2::new(f64::from(a[0]) - f64::from(b[0]), f64::from(a[1]) - f64::from(b[1])).norm()
@@ -60,7 +64,8 @@ impl PairPath {
 
 /// The scenarios so far. Only scenarios with the same requested behavior, number of agents and duration are compared.
 ///
-/// A search is exact; `NearestIndex` states its cost. A scenario takes 16 bytes for each agent and second.
+/// A search is exact; `NearestIndex` states its cost. A scenario takes 16 bytes for each agent and second, beside its
+/// id.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct PathIndex {
     kinds: BTreeMap<Kind, OfKind>,

@@ -83,7 +83,8 @@ fn accelerations_have_a_sign() {
 
 #[test]
 fn a_step_in_acceleration_is_a_jerk() {
-    // By hand: the cubic fitted to seven positions of a step of size a has a third derivative of 10 a / 3 per second.
+    // By hand: the cubic fitted to seven positions of a step of size a in the middle has a third derivative of 10 a / 3
+    // per second.
     let braking = scene(15.0, "{ duration_s = 1.5 }, { duration_s = 2.5, acceleration_mps2 = -6.0 }");
     let (check, value, timestep) = only(&braking, &ValidityConfig { max_jerk_mps3: 15.0, ..defaults() });
     assert!(check == Check::Jerk && (value - 20.0).abs() < 0.5 && timestep == 15, "{value} at {timestep}");
@@ -239,7 +240,8 @@ fn collisions_are_excused_only_where_they_were_asked_for() {
 
 #[test]
 fn who_has_no_known_size_collides_as_the_smallest_of_its_kind_would() {
-    // Two side by side, at 10 and 15 m/s, with this distance between centers: boxes of 1.9 m would overlap.
+    // Two side by side, at 10 and 15 m/s, with this distance between centers: boxes of 1.9 m would overlap when one
+    // passes.
     let passing = |distance_m: f64, agents: [(AgentClass, TrackRole); 2]| {
         let mut scene = built(&format!(
             "{{ id = \"a\", start = {{ x_m = 15, y_m = 0, speed_mps = 10 }} }}, {{ id = \"b\", start = {{ x_m = 0, \
@@ -295,7 +297,8 @@ fn leaving_the_road_is_measured_in_meters() {
 
 #[test]
 fn a_lane_that_ends_on_the_road_is_not_carried_on() {
-    // The right of two lanes ends at 20 m, where the left goes on; the car in it would be 12 m beyond after 3.9 s.
+    // The right one of two lanes ends at 20 m, where the left one goes on; the car in it would be 12 m beyond after 3.9
+    // s.
     let lanes = |successors: &str| {
         let spec: Result<SceneSpec, _> = toml::from_str(&format!(
             "agents = [{{ id = \"a\", start = {{ x_m = -7, y_m = 0, speed_mps = 10 }} }}]\n\
