@@ -79,7 +79,7 @@ impl<'g> Generator<'g> {
             parts.push("classifier_free".to_owned());
         }
         if sweep.uses_template() {
-            parts.push("template".to_owned());
+            parts.push(GuidanceTag::TEMPLATE.to_owned());
         }
         if parts.is_empty() { GuidanceTag::NONE.to_owned() } else { parts.join("+") }
     }

@@ -21,6 +21,13 @@ impl GuidanceTag {
     pub const NONE: &str = "none";
     /// The kind of the baseline's joint futures.
     pub const BASELINE: &str = "scene_transformer";
+    /// The part of the kind of samples whose agents follow a template.
+    pub const TEMPLATE: &str = "template";
+
+    /// Whether agents with a role follow a template.
+    pub fn has_template(&self) -> bool {
+        self.kind.split('+').any(|part| part == Self::TEMPLATE)
+    }
 }
 
 /// The provenance of a generated scenario.

@@ -67,7 +67,7 @@ pub fn roll_out_samples(
             let others: Vec<usize> = others.filter(|idx| !situation.planned.contains(idx)).collect();
             situation.planned.extend(others);
             if config.ego == NamedDriver::Log {
-                let until = sees_from(&output.records[*i], futures.n_timesteps());
+                let until = sees_from(&output.records[*i]);
                 forget(&mut situation.scene, situation.ego_idx, until);
             }
             let [n_steps, _] = own.n_steps(situation.scene.dt_s);
@@ -107,10 +107,10 @@ pub fn roll_out_samples(
 
 /// The timestep from which the ego of a sample without a template answers to what it did not see: guidance moves the
 /// others, and the sample lets the ego drive on.
-fn sees_from(record: &ScenarioRecord, n_timesteps: usize) -> usize {
-    let scene = &record.scenario.scene;
-    let event = record.events.first().filter(|_| scene.n_timesteps == n_timesteps);
-    event.map_or(usize::MAX, |event| event.start_timestep + (REACTS_S / scene.dt_s).round() as usize)
+fn sees_from(record: &ScenarioRecord) -> usize {
+    let event = record.events.first().filter(|_| !record.scenario.provenance.guidance.has_template());
+    let n_reacts = (REACTS_S / record.scenario.scene.dt_s).round() as usize;
+    event.map_or(usize::MAX, |event| event.start_timestep + n_reacts)
 }
 
 /// Leaves out the states of an agent from a timestep on.
@@ -197,6 +197,7 @@ mod tests {
     use super::*;
     use crate::behavior::BehaviorConfig;
     use crate::progress::Silent;
+    use crate::scene::GuidanceTag;
     use crate::store::CorpusReader;
     use candle_core::Device;
 
@@ -276,6 +277,7 @@ mod tests {
         }
         // The event would be found later than it is, so that the plan is kept to its end.
         planned.events[0].end_timestep = n_steps + 7;
+        planned.scenario.provenance.guidance.kind = GuidanceTag::TEMPLATE.to_owned();
         let [_, driven, unverified] = rolled_out_from(planned.clone(), NamedDriver::Log, [3.8, 3.0], 1);
         let (scene, planned) = (&driven.scenario.scene, &planned.scenario.scene);
         assert_eq!(scene.n_timesteps, n_steps + 8);
@@ -284,6 +286,7 @@ mod tests {
             a.distance(b)
         };
         assert!((0..n_steps + 8).all(|timestep| apart_m(other_idx, timestep) < 1e-3), "everybody else is sampled");
+        assert!((0..n_steps).all(|timestep| apart_m(ego_idx, timestep) < 1e-3), "its ego has reacted as planned");
         // And so does somebody whom the template has in it without a role.
         assert!((0..n_steps + 8).all(|timestep| apart_m(leader_idx, timestep) < 1e-3));
         let bystander = (0..planned.tracks.len()).find(|idx| planned.state(*idx, n_steps).is_none()).unwrap();

@@ -65,9 +65,9 @@ impl<'a> Search<'a> {
 
     /// The outcomes of a cut-in for which a maneuver can be solved. The other moves over as fast as drivers do
     /// ([`CUT_IN`](crate::behavior::sideways::CUT_IN)) and, at its peak, with -4 to 2.5 m/s² along the lane. The ego
-    /// keeps its lane and brakes for the other with at most 6.5 m/s². No other agent is in the way if all of them
-    /// continue straight. Before the scene ends, the other's center is in the lane and the ego reaches the place where
-    /// the other came in. Only the past and the map are used.
+    /// keeps its lane and brakes for the other with at most 6.5 m/s². No other agent but those behind, which react, is
+    /// in the way if all of them continue straight. Before the scene ends, the other's center is in the lane and the
+    /// ego reaches the place where the other came in. Only the past and the map are used.
     pub(super) fn outcomes(&self) -> Option<Vec<Outcome>> {
         let plans = self.cut_in.plans(&self.pair)?.into_iter();
         Some(plans.filter(|plan| self.way(plan, STYLES[0]).is_some()).map(|plan| plan.outcome).collect())

@@ -7,6 +7,7 @@ use crate::behavior::cause::{MOST_LATE_S, STANDSTILL_GAP_M, not_enough_mps2};
 use crate::behavior::cut_in;
 use crate::behavior::following::{Ahead, Follower};
 use crate::behavior::lane_relation::SceneLanes;
+use crate::behavior::limits::REACTIONS_S;
 use crate::geometry::Vec2;
 use crate::scene::{LaneDuty, Scene};
 
@@ -22,7 +23,7 @@ const SOONEST_S: f64 = 0.1;
 const N_BEGINS: usize = 4;
 /// How soon somebody who comes over is reacted to that is in the way, seconds: by attentive drivers who expect it, or
 /// after an ordinary glance away.
-const SEES_S: [f64; 2] = [0.4, 1.5];
+const SEES_S: [f64; 2] = [REACTIONS_S[1], 1.5];
 /// How many ways of one agent to come over are tried.
 const N_COMING_OVER: usize = 12;
 /// How far ahead somebody, or a line, is looked for, meters.

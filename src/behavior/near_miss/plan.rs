@@ -9,6 +9,7 @@ use crate::behavior::cause::{COMFORTABLE_MPS2, MOST_LATE_S};
 use crate::behavior::cut_in;
 use crate::behavior::footprint::Footprint;
 use crate::behavior::lane_relation::SceneLanes;
+use crate::behavior::limits::REACTIONS_S;
 use crate::behavior::maneuver::{
     Driver, Maneuver, Others, Pace, SLOWER_MPS, STANDS_MPS, Slowing, building_up_s, slowing,
 };
@@ -30,9 +31,6 @@ const SOONEST_S: f64 = 0.3;
 const GAS_MPS2: [f64; 2] = [0.6, 1.25];
 const GAS_S: f64 = 3.0;
 const SLOWS_S: f64 = 1.2;
-/// How soon somebody who cuts in is reacted to that is in the way, seconds: see
-/// [`REACTIONS_S`](crate::behavior::limits::REACTIONS_S).
-const SEES_S: f64 = 0.4;
 /// How many ways to cut in are tried.
 const N_CUTTING_IN: usize = 40;
 /// Safety margin of the time to collision, seconds: the simulated drive and the template differ slightly.
@@ -165,7 +163,7 @@ impl<'a> Search<'a> {
         let ways = cut_in::closing(self.scene, [self.agents[1 - who], self.agents[who]], N_CUTTING_IN);
         ways.into_iter().map(move |(time_s, positions)| {
             let drive = Drive::over(&positions, self.extents[who], self.dt_s);
-            PlannedDrive { seen_s: time_s + SEES_S, ..self.planned(who, drive, positions, None) }
+            PlannedDrive { seen_s: time_s + REACTIONS_S[1], ..self.planned(who, drive, positions, None) }
         })
     }
 
