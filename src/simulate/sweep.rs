@@ -245,7 +245,9 @@ mod tests {
         assert_eq!(driven, sampled);
         assert_eq!(unverified.scenario, sampled.scenario);
         // What guidance made the others do, the ego answers to once it could have seen it.
-        let [_, logged, _] = rolled_out(NamedDriver::Log, [3.0, 3.0], 1);
+        let mut guided = record();
+        guided.scenario.provenance.guidance.kind = "cut_in".to_owned();
+        let [_, logged, _] = rolled_out_from(guided, NamedDriver::Log, [3.0, 3.0], 1);
         let (before, after, ego_idx) =
             (&sampled.scenario.scene, &logged.scenario.scene, sampled.subject_idx().unwrap());
         let answers = sampled.events[0].start_timestep + 8;
