@@ -1,7 +1,7 @@
 //! Futures of everybody, drawn from the model and corrected before they are driven.
 
 use super::Result;
-use super::drivers::expected;
+use super::drivers::{Log, expected};
 use super::reaction::{brake, ease, go_on, keep_to_lanes, walk_on};
 use super::rollout::{Drive, OFF_ROAD_SLACK_M};
 use super::situation::Situation;
@@ -33,7 +33,12 @@ impl Drive<'_> {
     ) -> Result<Result<Scene, UnfitScene>> {
         let (situation, now, center_idx) = (self.situation, self.world.now(), self.situation.ego_idx);
         let sizes = [futures.n_history(), futures.n_timesteps()];
-        let expected = expected(situation, &self.world, sizes[1] - sizes[0]);
+        let n_ahead = sizes[1] - sizes[0];
+        // What the ego of a continued scenario will do is known: who expects more of it brakes for nothing.
+        let expected = match is_continued && !self.driver.answers() {
+            true => Log::ahead(situation, &self.world, n_ahead),
+            false => expected(situation, &self.world, n_ahead),
+        };
         if !is_continued {
             situation.let_go(&mut self.world);
         }

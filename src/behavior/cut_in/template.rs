@@ -125,7 +125,7 @@ impl<'a> Search<'a> {
             && template.keeps_road(scene, &self.lanes)
             && template.keeps_apart(scene)
             && template.is_clear(scene, InTheWay::Ahead)
-            && has_room(scene, other_idx, (over.midway_s(), &positions), &self.behind);
+            && has_room(scene, other_idx, (-pair.side, over.midway_s(), &positions), &self.behind);
         is_possible.then_some(template)
     }
 }

@@ -24,6 +24,10 @@ const ROOM_S: f64 = 0.7;
 const OVER_LINE_S: f64 = 0.5;
 const ORDINARY_BRAKING_MPS2: f64 = 2.0;
 const CLEARANCE_M: f64 = 0.6;
+/// For how long before being midway nobody is alongside in the new lane, seconds, and how far aside that is between
+/// the bodies, meters.
+const LOOKS_BESIDE_S: f64 = 1.2;
+const NEW_LANE_M: f64 = 2.5;
 /// Accelerations along the lane, m/s², and how long they last, seconds.
 const ALONG_MPS2: [f64; 3] = [0.0, 0.8, -0.6];
 const ALONG_S: f64 = 2.5;
@@ -71,18 +75,19 @@ pub(super) fn ways_over_to_oncoming(scene: &Scene, lanes: &SceneLanes<'_>, agent
 impl MovingOver {
     /// Whether an agent that moves over has room beside all agents but `others`: see [`has_room`].
     pub(super) fn has_room(&self, scene: &Scene, agent_idx: usize, others: &[usize]) -> bool {
-        has_room(scene, agent_idx, (self.midway_s, &self.positions), others)
+        has_room(scene, agent_idx, (self.side, self.midway_s, &self.positions), others)
     }
 }
 
-/// Whether an agent that is midway between two lanes after this many seconds, and at these positions at present and at
-/// each timestep after it, has room beside all agents but `others`, if they keep their speeds: none closer than
-/// [`CLEARANCE_M`], and in its new lane a headway of [`ROOM_S`] to the agents ahead and behind, beyond the distance in
+/// Whether an agent that moves over to this side (1 for the left, -1 for the right), is midway between two lanes after
+/// this many seconds, and at these positions at present and at each timestep after it, has room beside all agents but
+/// `others`, if they keep their speeds: none closer than [`CLEARANCE_M`]; in its new lane, nobody alongside for the last
+/// [`LOOKS_BESIDE_S`] before that, and a headway of [`ROOM_S`] to the agents ahead and behind, beyond the distance in
 /// which the faster one slows down to the other, from [`OVER_LINE_S`] before that on.
 pub(in crate::behavior) fn has_room(
     scene: &Scene,
     agent_idx: usize,
-    (midway_s, positions): (f64, &[Vec2]),
+    (side, midway_s, positions): (f64, f64, &[Vec2]),
     others: &[usize],
 ) -> bool {
     let own = scene.tracks[agent_idx].extent_or_nominal();
@@ -96,14 +101,19 @@ pub(in crate::behavior) fn has_room(
             let moved = pair[1] - pair[0];
             let forward = moved * moved.norm().max(f64::MIN_POSITIVE).recip();
             let offset = goes_on(step + 1) - pair[1];
-            let (along_m, aside_m) = (offset.dot(forward), forward.cross(offset).abs());
+            let (along_m, aside_m) = (offset.dot(forward), side * forward.cross(offset));
             let gap_m = along_m.abs() - (own.length_m + their.length_m) / 2.0;
+            let half_widths_m = (own.width_m + their.width_m) / 2.0;
             let speeds_mps = [moved.norm() / scene.dt_s, now.velocity.dot(forward)];
             let [ahead_mps, behind_mps] = if along_m > 0.0 { [speeds_mps[1], speeds_mps[0]] } else { speeds_mps };
             let slows_m = (behind_mps - ahead_mps).max(0.0).powi(2) / (2.0 * ORDINARY_BRAKING_MPS2);
-            (step as f64 * scene.dt_s) < midway_s - OVER_LINE_S
-                || aside_m > (own.width_m + their.width_m) / 2.0
-                || gap_m > ROOM_S * behind_mps.max(0.0) + slows_m
+            let until_s = midway_s - step as f64 * scene.dt_s;
+            let is_in_new_lane = (half_widths_m..half_widths_m + NEW_LANE_M).contains(&aside_m);
+            let is_alongside = (0.0..LOOKS_BESIDE_S).contains(&until_s) && is_in_new_lane && gap_m <= 0.0;
+            !is_alongside
+                && (until_s > OVER_LINE_S
+                    || aside_m.abs() > half_widths_m
+                    || gap_m > ROOM_S * behind_mps.max(0.0) + slows_m)
         });
         let theirs: Vec<Vec2> = (0..positions.len()).map(goes_on).collect();
         keeps_distance && is_clear_of(scene, [agent_idx, idx], [positions, &theirs])
@@ -205,6 +215,10 @@ mod tests {
         // Slower by 5 m/s, and 7.5 m ahead when the way is over.
         let slow = scene(&[Drive::straight(0.0, 0.0, 0.0, 10.0), Drive::straight(22.0, 3.5, 0.0, 5.0)]);
         assert!(!way(&slow).has_room(&slow, 0, &[]));
+        // Alongside a second before being midway, and past by 2 m when the corner comes over the line.
+        let passes = scene(&[Drive::straight(0.0, 0.0, 0.0, 10.0), Drive::straight(-5.0, 3.5, 0.0, 30.0)]);
+        assert!(!way(&passes).has_room(&passes, 0, &[]));
+        assert!(way(&passes).has_room(&passes, 0, &[1]));
         // Two bodies beside each other, half a meter apart.
         let width_m = slow.tracks[0].extent_or_nominal().width_m;
         let both = [0.0, width_m + 0.5].map(|y| (0..5).map(|x| Vec2::new(f64::from(x), y)).collect::<Vec<_>>());

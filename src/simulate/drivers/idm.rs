@@ -1,6 +1,6 @@
 //! The intelligent driver model (Treiber, Hennecke and Helbing 2000) along the way of the ego.
 
-use super::way::{advanced, eased, eased_gently, ego, seen};
+use super::way::{advanced, advanced_gently, eased, ego, seen};
 use crate::behavior::following::opens_mps;
 use crate::metrics::{Seen, acceleration_mps2, half_width_m};
 use crate::scene::State;
@@ -37,7 +37,7 @@ impl Idm {
         let mps2 = behind_nearest(situation, &state, &seen);
         let wanted_mps2 =
             nearest(situation, &seen).map_or(mps2, |nearest| calm_mps2(mps2, state.speed_mps(), &nearest));
-        Ok(advanced(situation, &state, eased_gently(situation, world, wanted_mps2)))
+        Ok(advanced_gently(situation, world, wanted_mps2).unwrap_or_else(|| advanced(situation, &state, wanted_mps2)))
     }
 }
 

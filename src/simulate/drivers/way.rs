@@ -1,5 +1,6 @@
 //! Motion along the way of the ego, and other agents as seen from it.
 
+use crate::behavior::RELEASE_JERK_MPS3;
 use crate::metrics::{Seen, eased_mps2};
 use crate::scene::State;
 use crate::simulate::Situation;
@@ -17,10 +18,21 @@ pub(super) fn eased(situation: &Situation, world: &World, wanted_mps2: f64) -> f
     own_mps2(situation, world).map_or(wanted_mps2, |own_mps2| eased_mps2(wanted_mps2, own_mps2, situation.scene.dt_s))
 }
 
-/// As [`eased`], m/s², but its deceleration grows by no more than [`GENTLE_MPS3`].
-pub(super) fn eased_gently(situation: &Situation, world: &World, wanted_mps2: f64) -> f64 {
-    let least_mps2 = own_mps2(situation, world).map_or(wanted_mps2, |own| own - GENTLE_MPS3 * situation.scene.dt_s);
-    eased(situation, world, wanted_mps2.max(least_mps2))
+/// The ego a timestep later along its way, with an acceleration that comes from that of its last steps to the wanted
+/// one, m/s², no faster than gentle drivers press a pedal, and let go of it. Positions alone count: the velocity of a
+/// state from a log is the mean over its last timestep, that of a driven one is of its end. `None` without a past.
+pub(super) fn advanced_gently(situation: &Situation, world: &World, wanted_mps2: f64) -> Option<State> {
+    let (now, dt_s) = (world.now(), situation.scene.dt_s);
+    let state = |n_before: usize| world.state(situation.ego_idx, now.checked_sub(n_before)?);
+    let step_mps = |n: usize| Some(state(n)?.position.distance(state(n + 1)?.position) / dt_s);
+    let (last_mps, before_mps) = (step_mps(0)?, step_mps(1)?);
+    let own_mps2 = (last_mps - before_mps) / dt_s;
+    let mps2 = wanted_mps2.clamp(own_mps2 - GENTLE_MPS3 * dt_s, own_mps2 + RELEASE_JERK_MPS3 * dt_s);
+    // The next step is that much faster than the last one.
+    let ego = state(0)?;
+    let along = ego.velocity * ego.speed_mps().max(f64::MIN_POSITIVE).recip();
+    let began = State { velocity: along * (last_mps + mps2 * dt_s / 2.0).max(0.0), ..ego };
+    Some(advanced(situation, &began, mps2))
 }
 
 /// The acceleration of the ego over the last timestep, m/s².

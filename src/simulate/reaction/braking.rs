@@ -13,9 +13,11 @@ use crate::simulate::situation::Situation;
 /// Full braking, and the decelerations to be tried, m/s².
 const FULL_MPS2: f64 = 8.0;
 const BRAKES_MPS2: [f64; 6] = [1.0, 2.0, 3.0, 4.0, 6.0, FULL_MPS2];
-/// The pedal is pressed within this time, seconds, but no slower than with this jerk, m/s³.
+/// The pedal is pressed within this time, seconds, but no slower than with this jerk, m/s³, and faster than with the
+/// next only to brake fully.
 const PRESSED_S: f64 = 0.5;
 const LEAST_JERK_MPS3: f64 = 4.0;
+const MOST_JERK_MPS3: f64 = 9.5;
 /// The jerk of the end of braking, m/s³: from 1 m/s, a vehicle comes to a stand within 0.45 s.
 const ENDS_MPS3: f64 = 10.0;
 /// Braking ends after a multiple of this, seconds; until then, it fades to this share, as that of drivers does who see
@@ -134,21 +136,35 @@ fn drives_into_another(situation: &Situation, scene: &Scene, own: (usize, &[Stat
 }
 
 /// The path of these states, driven from the first on with a braking that builds up and ends as fast as pedals are
-/// pressed, after an acceleration of `from_mps2`, but never ahead of them. It becomes weaker before a stand.
+/// pressed, after an acceleration of `from_mps2`, but never ahead of them, and later as they brake. It becomes weaker
+/// before a stand.
 fn braked(states: &[State], from_mps2: f64, braking: Braking, dt_s: f64) -> Vec<State> {
     let stations = stations(states);
     let (mut speed_mps, mut station_m) = (states.first().map_or(0.0, State::speed_mps), 0.0);
     let mut acceleration_mps2 = from_mps2;
+    // Who lost speed early and then only kept it would come up to these states where they brake, and there with a jolt.
+    let change_mps2 = |at: usize| match stations.get(at.wrapping_sub(1)..=at + 1) {
+        Some(&[before_m, now_m, then_m]) => Some((then_m - 2.0 * now_m + before_m) / dt_s.powi(2)),
+        _ => None,
+    };
+    let later_mps2 = |step: usize| {
+        let [before, after] = [change_mps2(step - 1), change_mps2(step)];
+        before.zip(after).map_or(before.or(after).unwrap_or_default(), |(a, b)| f64::midpoint(a, b))
+    };
     let then = stations.iter().enumerate().skip(1).map(|(step, driven_m)| {
         let elapsed_s = (step as f64 - 0.5) * dt_s;
         let most_mps2 = (2.0 * ENDS_MPS3 * speed_mps).sqrt();
         let fades_by = if braking.mps2 > FADING_MPS2 { 0.0 } else { 1.0 - FADES_TO };
         let fades = 1.0 - fades_by * elapsed_s / braking.lasts_s;
         let wanted_mps2 = if elapsed_s < braking.lasts_s { -(braking.mps2 * fades).min(most_mps2) } else { 0.0 };
-        let most_mps2 = (braking.mps2.max(-acceleration_mps2) / PRESSED_S).max(LEAST_JERK_MPS3) * dt_s;
+        let is_ending = -acceleration_mps2 > most_mps2;
+        let most_mps3 = if braking.mps2 < FULL_MPS2 { MOST_JERK_MPS3 } else { f64::INFINITY };
+        let pressed_mps3 = braking.mps2.max(-acceleration_mps2) / PRESSED_S;
+        let pressed_mps2 = pressed_mps3.clamp(LEAST_JERK_MPS3, most_mps3) * dt_s;
         let eased_mps2 = eased_mps2(wanted_mps2, acceleration_mps2, dt_s);
-        let released_mps2 = RELEASE_JERK_MPS3 * dt_s;
-        acceleration_mps2 = eased_mps2.clamp(acceleration_mps2 - most_mps2, acceleration_mps2 + released_mps2);
+        let released_mps2 = if is_ending { ENDS_MPS3 } else { RELEASE_JERK_MPS3 } * dt_s;
+        acceleration_mps2 = eased_mps2.clamp(acceleration_mps2 - pressed_mps2, acceleration_mps2 + released_mps2);
+        acceleration_mps2 = acceleration_mps2.min(later_mps2(step).max(-most_mps2));
         let then_mps = (speed_mps + acceleration_mps2 * dt_s).max(0.0);
         let moved_m = (f64::midpoint(speed_mps, then_mps) * dt_s).min(driven_m - station_m);
         station_m += moved_m;
@@ -171,11 +187,11 @@ mod tests {
     #[test]
     fn braking_builds_up_ends_and_keeps_the_way() {
         let braked = |own: &[State], mps2: f64, lasts_s: f64| super::braked(own, 0.0, Braking { mps2, lasts_s }, DT_S);
-        // From 10 m/s at 5 m/s², which the pedal reaches by 10 m/s³: 1 m/s less is lost, as if it began 0.2 s later,
-        // and it stands after 10 + 2.0 m. Speeds are means over the last timestep.
+        // From 10 m/s at 5 m/s², which the pedal reaches by 9.5 m/s³: 1 m/s less is lost, as if it began 0.21 s later,
+        // and it stands after 10 + 2.1 m. Speeds are means over the last timestep.
         let found = braked(&steady(0.0, 10.0), 5.0, 3.0);
         assert!((found[20].speed_mps() - 1.25).abs() < 0.1, "{}", found[20].speed_mps());
-        assert!((found[30].position.x - 12.0).abs() < 0.1 && found[30].speed_mps() < 1e-9, "{:?}", found[30]);
+        assert!((found[30].position.x - 12.1).abs() < 0.1 && found[30].speed_mps() < 1e-9, "{:?}", found[30]);
         // For a second at 4 m/s² that fade to 2: it loses 3 m/s less the 0.8 of the pedal, and 0.4 while it lets go of
         // 2 m/s² by 5 m/s³. Then it drives on.
         let found = braked(&steady(0.0, 10.0), 4.0, 1.0);
@@ -188,7 +204,17 @@ mod tests {
         assert!(jerk(&found) < 8.01, "{}", jerk(&found));
         // An agent that brakes harder by itself does so.
         let own = braked(&steady(0.0, 10.0), 8.0, 3.0);
-        assert_eq!(braked(&own, 2.0, 3.0).last().map(|state| state.position), own.last().map(|state| state.position));
+        assert!(braked(&own, 2.0, 3.0)[30].position.distance(own[30].position) < 0.2);
+        // One that brakes later still does, without coming up to where it would have been.
+        let late: Vec<State> = steady(0.0, 10.0)[..=10]
+            .iter()
+            .copied()
+            .chain(own[1..=20].iter().map(|state| State { position: state.position + Vec2::new(10.0, 0.0), ..*state }))
+            .collect();
+        let found = braked(&late, 2.0, 0.5);
+        assert!(found.iter().zip(&late).skip(10).all(|(a, b)| a.position.x < b.position.x));
+        let hardest = found[1..].windows(2).map(|pair| (pair[0].speed_mps() - pair[1].speed_mps()) / DT_S);
+        assert!(hardest.fold(0.0, f64::max) < 8.01, "without a jolt where it comes up");
         assert!(braked(&steady(3.0, 0.0), 8.0, 3.0).iter().all(|state| state.position == Vec2::new(3.0, 0.0)));
     }
 
