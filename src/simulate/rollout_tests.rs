@@ -264,3 +264,33 @@ fn others_expect_an_ego_that_brakes_to_brake_on_and_any_other_to_go_on() {
     let found = speeds(&world);
     assert!((found[0] - 0.5).abs() < 1e-9 && found[1..].iter().all(|speed_mps| *speed_mps < 1e-9), "{found:?}");
 }
+
+#[test]
+fn what_the_ego_of_a_scenario_will_do_is_known_and_passes_smoothly_into_what_it_does_then() {
+    let mut record = record();
+    let ego = record.subject_idx().unwrap();
+    let scene = &mut record.scenario.scene;
+    for idx in (0..scene.tracks.len()).filter(|idx| *idx != ego) {
+        scene.tracks[idx].trajectory = Trajectory::new(vec![None; scene.n_timesteps]);
+    }
+    // The ego brakes with 4 m/s² from 15 m/s until a second after the present, where its states end.
+    let (present, dt_s) = (scene.current_timestep(), scene.dt_s);
+    let at = *scene.state(ego, present).unwrap();
+    let along = crate::geometry::Vec2::from_angle(at.heading_rad);
+    let states = (0..scene.n_timesteps).map(|timestep| {
+        let elapsed_s = (timestep as f64 - present as f64) * dt_s;
+        let position = at.position + along * (15.0 * elapsed_s - 2.0 * elapsed_s.powi(2));
+        (timestep <= present + 10).then_some(State { position, velocity: along * (15.0 - 4.0 * elapsed_s), ..at })
+    });
+    scene.tracks[ego].trajectory = Trajectory::new(states.collect());
+    let situation = situation(&record);
+    let world = situation.start(1);
+    let ahead = drivers::Log::ahead(&situation, &world, 20);
+    let positions: Vec<_> = (present - 1..=present).filter_map(|t| world.state(ego, t)).chain(ahead).collect();
+    let mps: Vec<f64> = positions.windows(2).map(|pair| pair[1].position.distance(pair[0].position) / dt_s).collect();
+    let mps2: Vec<f64> = mps.windows(2).map(|pair| (pair[1] - pair[0]) / dt_s).collect();
+    assert!(mps2[1..10].iter().all(|mps2| (mps2 + 4.0).abs() < 1e-6), "{mps2:?}");
+    // Alone on the road, it lets go of the brake with 5 m/s³.
+    assert!(mps2[10..].windows(2).all(|pair| (0.0..0.501).contains(&(pair[1] - pair[0]))), "{mps2:?}");
+    assert!((mps2[10] + 3.5).abs() < 0.01 && mps2[19] > -0.1, "{mps2:?}");
+}

@@ -18,12 +18,13 @@ const BRAKES_MPS2: [f64; 6] = [1.0, 2.0, 3.0, 4.0, 6.0, FULL_MPS2];
 const PRESSED_S: f64 = 0.5;
 const LEAST_JERK_MPS3: f64 = 4.0;
 const MOST_JERK_MPS3: f64 = 9.5;
-/// The jerk of the end of braking, m/s³: from 1 m/s, a vehicle comes to a stand within 0.45 s.
-const ENDS_MPS3: f64 = 10.0;
+/// The jerk of the end of braking, m/s³: from 6 m/s², a brake is eased from 2 m/s on.
+const ENDS_MPS3: f64 = 9.0;
 /// Braking ends after a multiple of this, seconds; until then, it fades to this share, as that of drivers does who see
-/// that it helps, unless it is harder than the last, m/s².
+/// that it helps, or to the next if it is harder than the last, m/s². Full braking does not.
 const BRAKES_S: f64 = 0.5;
 const FADES_TO: f64 = 0.5;
+const FADES_TO_IF_HARD: f64 = 0.75;
 const FADING_MPS2: f64 = 4.0;
 /// How often the weakest such deceleration is looked for halfway between one that suffices and one that does not.
 /// Harder ones keep their reserve.
@@ -153,16 +154,15 @@ fn braked(states: &[State], from_mps2: f64, braking: Braking, dt_s: f64) -> Vec<
     };
     let then = stations.iter().enumerate().skip(1).map(|(step, driven_m)| {
         let elapsed_s = (step as f64 - 0.5) * dt_s;
-        let most_mps2 = (2.0 * ENDS_MPS3 * speed_mps).sqrt();
-        let fades_by = if braking.mps2 > FADING_MPS2 { 0.0 } else { 1.0 - FADES_TO };
-        let fades = 1.0 - fades_by * elapsed_s / braking.lasts_s;
+        let most_mps2 = stopping_mps2(speed_mps, dt_s);
+        let fades = 1.0 - (1.0 - fades_to(braking.mps2)) * elapsed_s / braking.lasts_s;
         let wanted_mps2 = if elapsed_s < braking.lasts_s { -(braking.mps2 * fades).min(most_mps2) } else { 0.0 };
         let is_ending = -acceleration_mps2 > most_mps2;
         let most_mps3 = if braking.mps2 < FULL_MPS2 { MOST_JERK_MPS3 } else { f64::INFINITY };
         let pressed_mps3 = braking.mps2.max(-acceleration_mps2) / PRESSED_S;
         let pressed_mps2 = pressed_mps3.clamp(LEAST_JERK_MPS3, most_mps3) * dt_s;
         let eased_mps2 = eased_mps2(wanted_mps2, acceleration_mps2, dt_s);
-        let released_mps2 = if is_ending { ENDS_MPS3 } else { RELEASE_JERK_MPS3 } * dt_s;
+        let released_mps2 = if is_ending { f64::INFINITY } else { RELEASE_JERK_MPS3 * dt_s };
         acceleration_mps2 = eased_mps2.clamp(acceleration_mps2 - pressed_mps2, acceleration_mps2 + released_mps2);
         acceleration_mps2 = acceleration_mps2.min(later_mps2(step).max(-most_mps2));
         let then_mps = (speed_mps + acceleration_mps2 * dt_s).max(0.0);
@@ -177,6 +177,22 @@ fn braked(states: &[State], from_mps2: f64, braking: Braking, dt_s: f64) -> Vec<
     at_stations(states, &stations, then, dt_s)
 }
 
+/// The hardest deceleration for the next timestep, m/s², from which a vehicle at this speed still comes to a stand
+/// without a jolt: a ≤ √(2 j v) with the jerk j and the speed v at its end.
+fn stopping_mps2(speed_mps: f64, dt_s: f64) -> f64 {
+    let eases_mps2 = ENDS_MPS3 * dt_s;
+    (eases_mps2.powi(2) + 2.0 * ENDS_MPS3 * speed_mps).sqrt() - eases_mps2
+}
+
+/// The share to which a deceleration fades, m/s².
+fn fades_to(mps2: f64) -> f64 {
+    match mps2 {
+        FULL_MPS2.. => 1.0,
+        mps2 if mps2 > FADING_MPS2 => FADES_TO_IF_HARD,
+        _ => FADES_TO,
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::super::tests::{DT_S, steady};
@@ -187,11 +203,14 @@ mod tests {
     #[test]
     fn braking_builds_up_ends_and_keeps_the_way() {
         let braked = |own: &[State], mps2: f64, lasts_s: f64| super::braked(own, 0.0, Braking { mps2, lasts_s }, DT_S);
-        // From 10 m/s at 5 m/s², which the pedal reaches by 9.5 m/s³: 1 m/s less is lost, as if it began 0.21 s later,
-        // and it stands after 10 + 2.1 m. Speeds are means over the last timestep.
-        let found = braked(&steady(0.0, 10.0), 5.0, 3.0);
-        assert!((found[20].speed_mps() - 1.25).abs() < 0.1, "{}", found[20].speed_mps());
-        assert!((found[30].position.x - 12.1).abs() < 0.1 && found[30].speed_mps() < 1e-9, "{:?}", found[30]);
+        // From 10 m/s at 8 m/s², which the pedal reaches by 12.65 m/s³, as if it began 0.32 s later: 4.5 m/s after a
+        // second. It is let go of from 3.56 m/s on, 8.5 m from the start, and leads 2/3 v²/a = 1.06 m further.
+        let found = braked(&steady(0.0, 10.0), 8.0, 3.0);
+        assert!((found[10].speed_mps() - 4.6).abs() < 0.15, "{}", found[10].speed_mps());
+        assert!((found[30].position.x - 9.5).abs() < 0.2 && found[30].speed_mps() < 1e-9, "{:?}", found[30]);
+        let mps2 = |i: usize| (found[i + 1].speed_mps() - found[i].speed_mps()) / DT_S;
+        let ends = (10..28).map(|i| mps2(i + 1) - mps2(i)).fold(0.0, f64::max);
+        assert!(ends < 10.0 * DT_S, "it stands without a jolt: {ends}");
         // For a second at 4 m/s² that fade to 2: it loses 3 m/s less the 0.8 of the pedal, and 0.4 while it lets go of
         // 2 m/s² by 5 m/s³. Then it drives on.
         let found = braked(&steady(0.0, 10.0), 4.0, 1.0);
