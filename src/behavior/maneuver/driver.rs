@@ -29,6 +29,10 @@ const REGAINS_MPS2: f64 = 0.8;
 /// By how much firmer the firmest driver brakes than the gentlest one, and how much less speed it loses, as shares.
 const FIRMER: f64 = 0.2;
 const LOSES_LESS: f64 = 0.5;
+/// How much firmer than in the mean who stops brakes at first, and how much less at the end, as a factor, and the
+/// firmest that it becomes, m/s².
+const FIRST_FIRMER: f64 = 1.15;
+const FIRMEST_MPS2: f64 = 7.8;
 /// How long it takes to press a pedal, and to ease a stop, seconds.
 const PEDAL_S: f64 = 0.3;
 const PEDAL_RATE_HZ: f64 = 1.0 / PEDAL_S;
@@ -135,6 +139,17 @@ impl Pace {
         let lasts_s = (loses_mps / mps2 + (pressed_s - released_s) / 2.0).max(PEDAL_S);
         self.changes.push(Change { from_s, mps2: -mps2, takes_s: Some(pressed_s) });
         self.changes.push(Change { from_s: from_s + lasts_s, mps2: 0.0, takes_s: Some(released_s) });
+        self
+    }
+
+    /// Adds braking from `from_s` seconds after the present on, at this speed, m/s, to a stand: with `mps2` in the mean,
+    /// firmer at first.
+    #[must_use]
+    pub(in crate::behavior) fn stopping(mut self, from_s: f64, mps2: f64, speed_mps: f64) -> Self {
+        let firmer = FIRST_FIRMER.min(FIRMEST_MPS2 / mps2).max(1.0);
+        let pressed_s = building_up_s(0.0, -mps2 * firmer);
+        let fades = Change { from_s: from_s + pressed_s, mps2: -mps2 / firmer, takes_s: Some(speed_mps / mps2) };
+        self.changes.extend([Change { from_s, mps2: -mps2 * firmer, takes_s: Some(pressed_s) }, fades]);
         self
     }
 

@@ -95,7 +95,7 @@ impl Reason {
         let goes_on = their_mps > STANDS_MPS;
         let slower = SLOWER_MPS.iter().filter(|_| goes_on);
         let slower = slower.map(|mps| steady.clone().losing(from_s, mps2, own_mps - their_mps + mps));
-        let stops = (!goes_on).then(|| steady.clone().then(from_s, -mps2));
+        let stops = (!goes_on).then(|| steady.clone().stopping(from_s, mps2, own_mps));
         let mut brakings = slower.chain(stops).map(|pace| Braking { travel: driver.travel(rail, &pace), pace });
         brakings.find(|braking| self.explains(not_enough_mps2(mps2), (begins, own_mps), &braking.travel.driven_m, dt_s))
     }

@@ -512,6 +512,12 @@ fn braking_builds_up_fades_and_costs_what_it_is_to_cost() {
         let fastest = at.windows(2).map(|pair| (pair[1] - pair[0]).abs() * 1e3).fold(0.0, f64::max);
         assert!(at.iter().all(|a| (-mps2 - 1e-9..=0.0).contains(a)), "{mps2} m/s²");
         assert!(fastest <= if mps2 < 4.0 { 3.01 } else { 10.01 }, "{mps2} m/s²: {fastest} m/s³");
+        // To a stand from 10 m/s: firmer at first, and as wanted halfway.
+        let pace = super::Pace::steady(0.0).stopping(0.5, mps2, 10.0);
+        let at = |elapsed_s: f64| -pace.at(0.5 + elapsed_s);
+        let (pressed_s, takes_s) = (1.15 * mps2 / 10.0, 10.0 / mps2);
+        assert!((at(pressed_s.max(0.3)) - (1.15 * mps2).min(7.8)).abs() < 0.1 * mps2 && at(takes_s + 1.0) < mps2);
+        assert!((at(pressed_s + takes_s / 2.0) - mps2).abs() < 0.05 * mps2, "{mps2} m/s²");
     }
 }
 
