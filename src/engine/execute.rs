@@ -6,7 +6,6 @@ use super::inputs::check_inputs;
 use super::kept_models::kept;
 use super::kind::StageKind;
 use super::outdated;
-use super::plan::begun;
 use super::planned::{Action, PlannedStage};
 use super::record::StageRecord;
 use super::shards::{self, Gathering, Makers};
@@ -29,9 +28,8 @@ pub(super) fn execute(
         revise(&mut planned, context)?;
         let kind = planned.stage.kind();
         let record = if planned.action == Action::Reuse {
-            let PlannedStage { expected, .. } = planned;
-            // Planning has just read the same record.
-            let done = StageRecord::done(context.root, kind)?.unwrap_or_else(|| expected.clone());
+            let PlannedStage { expected, earlier, .. } = planned;
+            let done = earlier.done.unwrap_or_else(|| expected.clone());
             shards::clean_up(context.root, kind, &done)?;
             done.with_inputs_of(context.root, kind, &expected)?.seen(expected.times)
         } else {
@@ -59,16 +57,16 @@ pub(super) fn execute(
 fn revise(planned: &mut PlannedStage<'_>, context: &StageContext<'_>) -> Result<()> {
     let kind = planned.stage.kind();
     let earlier = match planned.action {
-        Action::Reuse => StageRecord::done(context.root, kind)?,
-        Action::Resume => begun(context.root, kind)?,
+        Action::Reuse => planned.earlier.done.as_ref(),
+        Action::Resume => planned.earlier.begun.as_ref(),
         Action::Run(_) => None,
     };
     let Some((producer, earlier)) =
-        earlier.and_then(|earlier| Some((planned.expected.rewritten_since(&earlier)?.to_owned(), earlier)))
+        earlier.and_then(|earlier| Some((planned.expected.rewritten_since(earlier)?.to_owned(), earlier)))
     else {
         return Ok(());
     };
-    if planned.action == Action::Reuse && (outdated::is_kept(kind, &earlier) || !planned.is_selected) {
+    if planned.action == Action::Reuse && (outdated::is_kept(kind, earlier) || !planned.is_selected) {
         context.progress.warn(&format!(
             "{kind} is kept, but {producer}, which it read, has written other bytes since; rebuild it with --redo \
              {kind}"
@@ -76,7 +74,7 @@ fn revise(planned: &mut PlannedStage<'_>, context: &StageContext<'_>) -> Result<
         return Ok(());
     }
     let why = outdated::why(&producer);
-    planned.kept = kept(context.root, kind, &planned.expected, &why, false)?;
+    planned.kept = kept(context.root, &planned.earlier, &planned.expected, &why, false)?;
     context.progress.note(&format!("{kind} runs again: {why}"));
     planned.action = Action::Run(why);
     Ok(())

@@ -10,7 +10,7 @@ use super::failure::{Failure, Result};
 use super::kept_models::{self, Kept};
 use super::kind::StageKind;
 use super::ownership;
-use super::record::{StageRecord, done_path, unreadable};
+use super::record::{StageRecord, done_path};
 use crate::files::{
     self, Error, enter_all, exchange, foreign, keep_list, listed, remove_if_present, remove_leftovers, remove_listed,
     sync_folder, write_atomically,
@@ -88,7 +88,7 @@ impl WorkFolder {
 
     fn unreadable(&self, error: StoreError) -> Failure {
         let (dir, stage) = (self.dir.display(), self.stage);
-        unreadable(error, || format!("restore it from a copy, or move {dir} away: then {stage} begins anew"))
+        Failure::unreadable(error, || format!("restore it from a copy, or move {dir} away: then {stage} begins anew"))
     }
 
     /// Resumes the work that an interrupted run left.
@@ -166,11 +166,11 @@ impl WorkFolder {
     /// Puts the outputs in place. A kill at any moment leaves a state from which the same steps go on.
     fn publish(&self, record: &StageRecord) -> Result<()> {
         // An output that is in place already is not examined: the record of the earlier run does not know it.
+        let earlier = StageRecord::done(&self.root, self.stage)?;
         let waits = |name: &&String| self.dir.join(name).exists() && !self.root.join(name).join(NEW_FILE).exists();
         let names: Vec<&str> = record.outputs.keys().filter(waits).map(String::as_str).collect();
-        ownership::check_outputs(&self.root, self.stage, &names)?;
+        ownership::check_outputs(&self.root, earlier.as_ref(), &names)?;
         Self::check_ours(&self.root, self.stage)?;
-        let earlier = StageRecord::done(&self.root, self.stage)?;
         let keep = self.kept_names()?;
         let replaced = earlier.iter().flat_map(|earlier| earlier.outputs.keys());
         let places = record.outputs.keys().chain(replaced).flat_map(|name| [self.dir.join(name), self.root.join(name)]);
@@ -179,7 +179,7 @@ impl WorkFolder {
         }
         remove_if_present(&self.dir.join(STARTED_FILE))?;
         for name in record.outputs.keys() {
-            self.put_in_place(name, keep.get(name))?;
+            self.put_in_place(name, keep.get(name), earlier.as_ref())?;
         }
         if let Some(earlier) = &earlier {
             for away in keep.values().map(|as_name| self.root.join(as_name)) {
@@ -198,13 +198,13 @@ impl WorkFolder {
     /// Puts the output `name` in place. Files are renamed over earlier ones, folders are exchanged with them, so that
     /// there is always one or the other. The earlier one then gets the name under which it stays, or is put where it
     /// will be removed.
-    fn put_in_place(&self, name: &str, as_name: Option<&String>) -> Result<()> {
+    fn put_in_place(&self, name: &str, as_name: Option<&String>, earlier: Option<&StageRecord>) -> Result<()> {
         let (new, place) = (self.dir.join(name), self.root.join(name));
         let away = as_name.map_or_else(|| self.dir.join(REPLACED).join(name), |as_name| self.root.join(as_name));
         let mark = place.join(NEW_FILE);
         if new.exists() && !mark.exists() {
             if new.is_dir() && place.is_dir() {
-                self.list_replaced(name)?;
+                self.list_replaced(name, earlier)?;
                 // A kill while the mark was written left a part of it, which would be moved, too.
                 remove_leftovers(&self.dir)?;
                 write_atomically::<std::io::Error>(&new.join(NEW_FILE), |_| Ok(()))?;
@@ -228,22 +228,19 @@ impl WorkFolder {
 
     /// Lists the files of an earlier output under the names that they will have in the work folder, so that they are
     /// known as ours whenever the process is killed.
-    fn list_replaced(&self, name: &str) -> Result<()> {
-        let owned = ownership::owned(&self.root, self.stage)?;
-        let files = owned.iter().filter(|file| file.starts_with(name));
+    fn list_replaced(&self, name: &str, earlier: Option<&StageRecord>) -> Result<()> {
+        let files = earlier.iter().flat_map(|earlier| &earlier.files).filter(|file| file.starts_with(name));
         let names: Vec<PathBuf> = files.flat_map(|file| [file.clone(), Path::new(REPLACED).join(file)]).collect();
         Ok(enter_all(&self.dir, names.iter().map(PathBuf::as_path))?)
     }
 
     /// Removes files that the earlier run wrote under names that this one did not write at all.
     fn remove_stale(&self, earlier: &StageRecord, record: &StageRecord) -> Result<()> {
-        let owned = ownership::owned(&self.root, self.stage)?;
         for name in earlier.outputs.keys().filter(|name| !record.outputs.contains_key(*name)) {
             let place = self.root.join(name);
             if place.is_dir() {
-                let ours = owned.iter().filter_map(|file| file.strip_prefix(name).ok().map(Path::to_owned)).collect();
-                remove_listed(&place, &ours)?;
-            } else if owned.contains(Path::new(name)) {
+                remove_listed(&place, &earlier.files_below(name).collect())?;
+            } else if earlier.files.contains(Path::new(name)) {
                 remove_if_present(&place)?;
             }
         }
