@@ -5,7 +5,7 @@ use super::record::StageRecord;
 use std::collections::BTreeMap;
 
 /// What earlier runs left of a stage. It is read when the stage is planned, and holds until the stage runs.
-pub struct Earlier {
+pub(super) struct Earlier {
     pub(super) stage: &'static StageKind,
     /// The record of the finished stage, if there is one.
     pub(super) done: Option<StageRecord>,

@@ -5,7 +5,7 @@ use super::kind::StageKind;
 use super::log::LOG_FILE;
 use super::record::{StageRecord, done_path};
 use super::timings::TIMINGS_FILE;
-use crate::files::{Error, foreign, is_link, is_partial_of, resolve};
+use crate::files::{Error, foreign, is_link, is_partial_of, listed, resolve};
 use crate::store::{Error as StoreError, read_record};
 use serde_json::Value;
 use std::io::Read;
@@ -127,4 +127,17 @@ pub(super) fn check_outputs(root: &Path, done: Option<&StageRecord>, outputs: &[
         }
     }
     Ok(())
+}
+
+/// Rejects a folder for work that holds foreign files.
+pub(super) fn check_work(dir: &Path) -> Result<()> {
+    let path = dir.to_owned();
+    if is_link(&path) {
+        return Err(Error::Link { path }.into());
+    }
+    let found = match path.is_file() {
+        true => path.file_name().map(PathBuf::from).into_iter().collect(),
+        false => foreign(&path, &listed(&path)?.unwrap_or_default())?,
+    };
+    if found.is_empty() { Ok(()) } else { Err(Error::Foreign { path, found }.into()) }
 }

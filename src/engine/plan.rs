@@ -12,7 +12,7 @@ use super::record::StageRecord;
 use super::shards::ShardFolder;
 use super::stage::Stage;
 use super::timings::Timings;
-use super::work_folder::WorkFolder;
+use super::work_folder::{WorkFolder, work_path};
 use std::path::Path;
 
 /// Decides on every stage, in order; those in `redo` are done again even if they are up to date. `root` is the folder
@@ -53,7 +53,7 @@ pub fn plan<'a>(
         let is_kept = earlier.done.as_ref().is_some_and(|done| outdated::is_kept(stage.kind(), done));
         let reads_anew = stage.inputs().iter().any(|input| input.producer.is_some_and(|kind| may_run.contains(&kind)));
         if action != Action::Reuse || (reads_anew && !is_kept) {
-            WorkFolder::check_ours(root, stage.kind())?;
+            ownership::check_work(&work_path(root, stage.kind()))?;
             ownership::check_outputs(root, earlier.done.as_ref(), stage.outputs())?;
             may_run.push(stage.kind());
         }
@@ -123,7 +123,7 @@ fn decide(root: &Path, earlier: &Earlier, expected: &mut StageRecord, is_request
     let why = match &earlier.done {
         Some(_) if is_requested || earlier.is_redone => "requested by --redo".to_owned(),
         Some(done) if done.fingerprint != expected.fingerprint => expected.changes_since(stage, done),
-        Some(done) => match done.check_outputs(root, &earlier.times_seen)? {
+        Some(done) => match done.whole_since(root, &earlier.times_seen)? {
             Err(name) => format!("{name} is missing or was changed"),
             Ok(times) => {
                 expected.times = times;

@@ -218,7 +218,7 @@ impl StageRecord {
     /// By output, a hash of the times at which its large files were written, if all outputs are as the stage wrote
     /// them; otherwise, as the inner error, the first output that is not. Foreign files beside them do not count.
     /// Outputs that were `seen` whole are not read again while sizes and times of their files stay.
-    pub(super) fn check_outputs(
+    pub(super) fn whole_since(
         &self,
         root: &Path,
         seen: &BTreeMap<String, String>,

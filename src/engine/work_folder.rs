@@ -12,7 +12,7 @@ use super::kind::StageKind;
 use super::ownership;
 use super::record::{StageRecord, done_path};
 use crate::files::{
-    self, Error, enter_all, exchange, foreign, keep_list, listed, remove_if_present, remove_leftovers, remove_listed,
+    self, Error, enter_all, exchange, keep_list, listed, remove_if_present, remove_leftovers, remove_listed,
     sync_folder, write_atomically,
 };
 use crate::store::{Error as StoreError, read_record, write_record};
@@ -110,19 +110,6 @@ impl WorkFolder {
         Ok(work)
     }
 
-    /// Rejects a work folder that holds foreign files.
-    pub(super) fn check_ours(root: &Path, stage: &'static StageKind) -> Result<()> {
-        let path = Self::of(root, stage).dir;
-        if files::is_link(&path) {
-            return Err(Error::Link { path }.into());
-        }
-        let found = match path.is_file() {
-            true => path.file_name().map(PathBuf::from).into_iter().collect(),
-            false => foreign(&path, &listed(&path)?.unwrap_or_default())?,
-        };
-        if found.is_empty() { Ok(()) } else { Err(Error::Foreign { path, found }.into()) }
-    }
-
     /// The folder into which the stage writes.
     pub(super) fn path(&self) -> &Path {
         &self.dir
@@ -170,7 +157,7 @@ impl WorkFolder {
         let waits = |name: &&String| self.dir.join(name).exists() && !self.root.join(name).join(NEW_FILE).exists();
         let names: Vec<&str> = record.outputs.keys().filter(waits).map(String::as_str).collect();
         ownership::check_outputs(&self.root, earlier.as_ref(), &names)?;
-        Self::check_ours(&self.root, self.stage)?;
+        ownership::check_work(&self.dir)?;
         let keep = self.kept_names()?;
         let replaced = earlier.iter().flat_map(|earlier| earlier.outputs.keys());
         let places = record.outputs.keys().chain(replaced).flat_map(|name| [self.dir.join(name), self.root.join(name)]);
@@ -256,7 +243,7 @@ impl WorkFolder {
 
     /// Makes room for new work. An unfinished training is moved aside: it may have cost hours.
     fn discard(&self) -> Result<()> {
-        Self::check_ours(&self.root, self.stage)?;
+        ownership::check_work(&self.dir)?;
         if let Some(started) = Self::started(&self.root, self.stage)?.filter(|_| self.stage.trains) {
             kept_models::keep_unfinished(&started, &self.dir, &self.root)?;
         }
