@@ -21,7 +21,7 @@ pub enum Error {
     UnknownColumn { name: String, hint: String },
     /// A folder that must not be written into.
     #[error(transparent)]
-    Files(files::Error),
+    Files(#[from] files::Error),
     /// Two corpora hold different scenarios under one id.
     #[error(
         "scenario {id} is in {} and in {} with different content; filter it out of one of them first",
@@ -38,15 +38,6 @@ pub enum Error {
     /// A choice that cannot be.
     #[error("{0}")]
     Usage(String),
-}
-
-impl From<files::Error> for Error {
-    fn from(error: files::Error) -> Self {
-        match error {
-            files::Error::Io(error) => Self::Io(error),
-            error => Self::Files(error),
-        }
-    }
 }
 
 impl Error {

@@ -4,24 +4,23 @@ use super::device::ComputeChoice;
 use super::failure::{Failure, Result};
 use super::inputs::check_inputs;
 use super::kept_models::kept;
-use super::kind::StageKind;
+use super::log::Logged;
 use super::outdated;
-use super::plan::begun;
 use super::planned::{Action, PlannedStage};
 use super::record::StageRecord;
 use super::shards::{self, Gathering, Makers};
 use super::stage::{StageContext, Work};
+use super::timings::StageClock;
 use super::work_folder::WorkFolder;
-use crate::progress::Progress;
 
 /// Runs the stages that must run. Returns the records of all stages, and calls `after` with each as soon as it is done.
-/// `compute` is what the context has opened.
+/// `made` begins with what the context has opened. The `log` is the context's progress.
 pub(super) fn execute(
     planned: Vec<PlannedStage<'_>>,
-    (compute, makers): (ComputeChoice, Makers),
+    made: (ComputeChoice, Makers),
     context: &StageContext<'_>,
+    (log, clock): (&Logged<'_>, &mut StageClock<'_>),
     after: &mut dyn FnMut(&StageRecord) -> anyhow::Result<()>,
-    around: &mut dyn FnMut(&'static StageKind, Moment) -> anyhow::Result<()>,
 ) -> Result<Vec<StageRecord>> {
     let mut records = Vec::new();
     for mut planned in planned {
@@ -29,22 +28,21 @@ pub(super) fn execute(
         revise(&mut planned, context)?;
         let kind = planned.stage.kind();
         let record = if planned.action == Action::Reuse {
-            let PlannedStage { expected, .. } = planned;
-            // Planning has just read the same record.
-            let done = StageRecord::done(context.root, kind)?.unwrap_or_else(|| expected.clone());
+            let PlannedStage { expected, earlier, .. } = planned;
+            let done = earlier.done.unwrap_or_else(|| expected.clone());
             shards::clean_up(context.root, kind, &done)?;
             done.with_inputs_of(context.root, kind, &expected)?.seen(expected.times)
         } else {
             if context.progress.must_stop() {
                 return Err(Failure::later(format_args!("stopped before stage {kind}")));
             }
-            around(kind, Moment::Start)?;
-            let named = Named { stage: kind, inner: context.progress };
-            let context = StageContext { progress: &named, ..*context };
-            let record = run_stage(&planned, (compute, makers), &context).map_err(|failure| failure.of_stage(kind))?;
-            around(kind, Moment::End)?;
+            log.enter(kind);
+            clock.begin(kind)?;
+            let record = run_stage(&planned, made, context).map_err(|failure| failure.of_stage(kind))?;
+            clock.end(kind)?;
             record
         };
+        clock.keep_times(&record)?;
         after(&record)?;
         records.push(record);
     }
@@ -59,16 +57,16 @@ pub(super) fn execute(
 fn revise(planned: &mut PlannedStage<'_>, context: &StageContext<'_>) -> Result<()> {
     let kind = planned.stage.kind();
     let earlier = match planned.action {
-        Action::Reuse => StageRecord::done(context.root, kind)?,
-        Action::Resume => begun(context.root, kind)?,
+        Action::Reuse => planned.earlier.done.as_ref(),
+        Action::Resume => planned.earlier.begun.as_ref(),
         Action::Run(_) => None,
     };
     let Some((producer, earlier)) =
-        earlier.and_then(|earlier| Some((planned.expected.rewritten_since(&earlier)?.to_owned(), earlier)))
+        earlier.and_then(|earlier| Some((planned.expected.rewritten_since(earlier)?.to_owned(), earlier)))
     else {
         return Ok(());
     };
-    if planned.action == Action::Reuse && (outdated::is_kept(kind, &earlier) || !planned.is_selected) {
+    if planned.action == Action::Reuse && (outdated::is_kept(kind, earlier) || !planned.is_selected) {
         context.progress.warn(&format!(
             "{kind} is kept, but {producer}, which it read, has written other bytes since; rebuild it with --redo \
              {kind}"
@@ -76,54 +74,10 @@ fn revise(planned: &mut PlannedStage<'_>, context: &StageContext<'_>) -> Result<
         return Ok(());
     }
     let why = outdated::why(&producer);
-    planned.kept = kept(context.root, kind, &planned.expected, &why, false)?;
+    planned.kept = kept(context.root, &planned.earlier, &planned.expected, &why, false)?;
     context.progress.note(&format!("{kind} runs again: {why}"));
     planned.action = Action::Run(why);
     Ok(())
-}
-
-/// When a time is taken, relative to a stage's work.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Moment {
-    /// Before its work.
-    Start,
-    /// After its outputs are whole.
-    End,
-}
-
-/// Prefixes the names of phases with the stage.
-struct Named<'a> {
-    stage: &'static StageKind,
-    inner: &'a dyn Progress,
-}
-
-impl Progress for Named<'_> {
-    fn start(&self, phase: &str, total: u64, unit: &str) {
-        let stage = self.stage.command;
-        let is_whole = stage.split(' ').any(|word| word == phase);
-        let name = if is_whole { stage.to_owned() } else { format!("{stage}: {phase}") };
-        self.inner.start(&name, total, unit);
-    }
-
-    fn advance(&self, n: u64) {
-        self.inner.advance(n);
-    }
-
-    fn note(&self, message: &str) {
-        self.inner.note(message);
-    }
-
-    fn warn(&self, message: &str) {
-        self.inner.warn(message);
-    }
-
-    fn finish(&self) {
-        self.inner.finish();
-    }
-
-    fn must_stop(&self) -> bool {
-        self.inner.must_stop()
-    }
 }
 
 fn run_stage(

@@ -1,6 +1,7 @@
 //! Who has to act when something fails: the user, or those who maintain the program and the machine?
 
 use super::kind::StageKind;
+use crate::store;
 use std::{fmt, io};
 
 /// Who can do something about a failure. The command line turns this into the exit code.
@@ -38,6 +39,13 @@ impl Failure {
     /// A failure of ours or of the machine.
     pub fn fault(error: impl Into<anyhow::Error>) -> Self {
         Self { blame: Blame::Fault, error: error.into(), hint: None }
+    }
+
+    /// The failure to read a record, with advice if it is damaged.
+    pub(super) fn unreadable(error: store::Error, advice: impl FnOnce() -> String) -> Self {
+        let is_damaged = matches!(error, store::Error::Record { .. });
+        let failure = Self::fault(error);
+        if is_damaged { failure.with_hint(format!("nothing was changed; {}", advice())) } else { failure }
     }
 
     /// A failure that the user can fix, from a message.

@@ -3,7 +3,7 @@
 use super::failure::{Blame, Failure, Result};
 use super::fingerprint::{PathFingerprint, fingerprint_to, fingerprint_value};
 use super::kind::StageInput;
-use super::planned::{Action, PlannedStage};
+use super::planned::PlannedStage;
 use super::record::{InputRecord, StageRecord};
 use super::stage::Stage;
 use crate::cloud::Recordings;
@@ -93,12 +93,11 @@ fn identify(
     if let Some(producer) = input.producer {
         let folder = input.path.parent().unwrap_or(Path::new("."));
         let here = planned.iter().find(|other| other.stage.kind() == producer && folder == root);
-        let done =
-            StageRecord::done(folder, producer)?.filter(|_| here.is_none_or(|here| here.action == Action::Reuse));
-        let content = done.as_ref().and_then(StageRecord::content);
-        let fingerprint =
-            here.map(|here| here.expected.fingerprint.clone()).or_else(|| done.map(|record| record.fingerprint));
-        if let Some(fingerprint) = fingerprint {
+        let made = match here {
+            Some(here) => Some((here.expected.fingerprint.clone(), here.content())),
+            None => StageRecord::done(folder, producer)?.map(|done| (done.fingerprint.clone(), done.content())),
+        };
+        if let Some((fingerprint, content)) = made {
             return Ok(InputRecord::Stage { producer: producer.name.to_owned(), fingerprint, content });
         }
     }

@@ -1,10 +1,10 @@
 //! Keeps trained models when their stage runs again: they are moved aside, and long trainings are repeated only on
 //! request.
 
+use super::earlier::Earlier;
 use super::failure::{Failure, Result};
 use super::kind::StageKind;
 use super::record::StageRecord;
-use super::timings::seconds_spent;
 use crate::store::write_json_atomically;
 use std::path::Path;
 
@@ -33,22 +33,22 @@ pub struct Kept {
 /// stage's own section.
 pub(super) fn kept(
     root: &Path,
-    stage: &StageKind,
+    earlier: &Earlier,
     expected: &StageRecord,
     why: &str,
     is_requested: bool,
 ) -> Result<Vec<Kept>> {
-    let Some(earlier) = StageRecord::done(root, stage)?.filter(|_| stage.trains) else { return Ok(Vec::new()) };
-    let there: Vec<&String> = earlier.outputs.keys().filter(|name| root.join(name).is_dir()).collect();
-    if earlier.summary["trained"] != true || there.is_empty() {
+    let Some(done) = earlier.done.as_ref().filter(|_| earlier.stage.trains) else { return Ok(Vec::new()) };
+    let there: Vec<&String> = done.outputs.keys().filter(|name| root.join(name).is_dir()).collect();
+    if done.summary["trained"] != true || there.is_empty() {
         return Ok(Vec::new());
     }
-    let seconds = seconds_spent(root, stage);
-    if !is_requested && !expected.section_differs(&earlier) && seconds.is_none_or(|seconds| seconds > PRECIOUS_S) {
-        return Err(refusal(root, stage, why, seconds));
+    let seconds = earlier.seconds_spent;
+    if !is_requested && !expected.section_differs(done) && seconds.is_none_or(|seconds| seconds > PRECIOUS_S) {
+        return Err(refusal(root, earlier.stage, why, seconds));
     }
     let kept = |name: &String| {
-        let as_name = free_name(root, &format!("{name}{EARLIER}{}", earlier.short_fingerprint()));
+        let as_name = free_name(root, &format!("{name}{EARLIER}{}", done.short_fingerprint()));
         Kept { name: name.clone(), as_name }
     };
     Ok(there.into_iter().map(kept).collect())

@@ -27,6 +27,14 @@ pub struct StageKind {
     pub shards: Option<ShardNames>,
 }
 
+impl StageKind {
+    /// The name of a phase of its work, which begins with that of the stage.
+    pub(super) fn phase(&self, phase: &str) -> String {
+        let is_whole = self.command.split(' ').any(|word| word == phase);
+        if is_whole { self.command.to_owned() } else { format!("{}: {phase}", self.command) }
+    }
+}
+
 /// An input of a stage.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct StageInput {

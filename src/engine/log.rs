@@ -1,6 +1,7 @@
 //! The log of a run, for reading afterwards: `log.txt`.
 
 use super::clock::utc_now;
+use super::kind::StageKind;
 use crate::progress::Progress;
 use fs_err::File;
 use std::io::Write;
@@ -15,6 +16,7 @@ pub(super) struct Logged<'a> {
 
 struct LogState {
     file: File,
+    stage: Option<&'static StageKind>,
     phase: String,
     n_done: u64,
 }
@@ -26,7 +28,7 @@ impl<'a> Logged<'a> {
     /// Appends to the log at `path`.
     pub(super) fn open(path: &Path, inner: &'a dyn Progress) -> std::io::Result<Self> {
         let file = File::options().create(true).append(true).open(path)?;
-        Ok(Self { inner, state: Mutex::new(LogState { file, phase: String::new(), n_done: 0 }) })
+        Ok(Self { inner, state: Mutex::new(LogState { file, stage: None, phase: String::new(), n_done: 0 }) })
     }
 
     /// Writes a line into the log alone.
@@ -34,9 +36,14 @@ impl<'a> Logged<'a> {
         self.with(|state| state.line(message));
     }
 
-    fn with(&self, act: impl FnOnce(&mut LogState)) {
+    /// Phases that start from now on are those of `stage`.
+    pub(super) fn enter(&self, stage: &'static StageKind) {
+        self.with(|state| state.stage = Some(stage));
+    }
+
+    fn with<T>(&self, act: impl FnOnce(&mut LogState) -> T) -> T {
         // A thread that panicked while writing a line leaves half a line at worst.
-        act(&mut self.state.lock().unwrap_or_else(std::sync::PoisonError::into_inner));
+        act(&mut self.state.lock().unwrap_or_else(std::sync::PoisonError::into_inner))
     }
 }
 
@@ -50,13 +57,14 @@ impl LogState {
 
 impl Progress for Logged<'_> {
     fn start(&self, phase: &str, total: u64, unit: &str) {
-        self.with(|state| {
-            state.phase = phase.to_owned();
-            state.n_done = 0;
+        let phase = self.with(|state| {
+            let phase = state.stage.map_or_else(|| phase.to_owned(), |stage| stage.phase(phase));
+            (state.phase, state.n_done) = (phase.clone(), 0);
             let of = if total == 0 { String::new() } else { format!(" ({total} {unit})") };
             state.line(&format!("{phase}: started{of}"));
+            phase
         });
-        self.inner.start(phase, total, unit);
+        self.inner.start(&phase, total, unit);
     }
 
     fn advance(&self, n: u64) {

@@ -12,6 +12,7 @@
 
 mod clock;
 mod device;
+mod earlier;
 mod execute;
 mod failure;
 mod fingerprint;

@@ -3,12 +3,11 @@
 use super::failure::{Failure, Result};
 use super::kind::StageKind;
 use super::log::LOG_FILE;
-use super::record::{StageRecord, done_path, unreadable};
+use super::record::{StageRecord, done_path};
 use super::timings::TIMINGS_FILE;
-use crate::files::{Error, foreign, is_link, is_partial_of, resolve};
+use crate::files::{Error, foreign, is_link, is_partial_of, listed, resolve};
 use crate::store::{Error as StoreError, read_record};
 use serde_json::Value;
-use std::collections::BTreeSet;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
@@ -32,8 +31,9 @@ pub(super) fn check_root(root: &Path, kinds: &'static [StageKind]) -> Result<()>
         }
     };
     for name in [RUN_FILE, TIMINGS_FILE] {
-        let is_ours = is_record(&root.join(name))
-            .map_err(|error| unreadable(error, || "move it away, and the same command writes it anew".to_owned()))?;
+        let is_ours = is_record(&root.join(name)).map_err(|error| {
+            Failure::unreadable(error, || "move it away, and the same command writes it anew".to_owned())
+        })?;
         check(name, &|| is_ours);
     }
     check(LOG_FILE, &|| is_log(root));
@@ -107,14 +107,8 @@ pub(super) fn remove_leftovers(root: &Path, kinds: &'static [StageKind]) -> Resu
     Ok(())
 }
 
-/// The files in `root` that the finished stage wrote, relative to `root`.
-pub(super) fn owned(root: &Path, stage: &StageKind) -> Result<BTreeSet<PathBuf>> {
-    Ok(StageRecord::done(root, stage)?.map(|record| record.files).unwrap_or_default())
-}
-
-/// Rejects the outputs of a stage if their places hold anything that the stage did not write.
-pub(super) fn check_outputs(root: &Path, stage: &StageKind, outputs: &[&str]) -> Result<()> {
-    let owned = owned(root, stage)?;
+/// Rejects the outputs of a stage if their places hold anything that it did not write, by its record `done`.
+pub(super) fn check_outputs(root: &Path, done: Option<&StageRecord>, outputs: &[&str]) -> Result<()> {
     for name in outputs {
         let place = root.join(name);
         if place.symlink_metadata().is_err() {
@@ -124,11 +118,8 @@ pub(super) fn check_outputs(root: &Path, stage: &StageKind, outputs: &[&str]) ->
             return Err(Error::Link { path: place }.into());
         }
         let found = match place.is_dir() {
-            true => {
-                let ours = owned.iter().filter_map(|file| file.strip_prefix(name).ok().map(Path::to_owned)).collect();
-                foreign(&place, &ours)?
-            }
-            false if owned.contains(Path::new(name)) => Vec::new(),
+            true => foreign(&place, &done.map(|done| done.files_below(name).collect()).unwrap_or_default())?,
+            false if done.is_some_and(|done| done.files.contains(Path::new(name))) => Vec::new(),
             false => vec![PathBuf::from(name)],
         };
         if !found.is_empty() {
@@ -136,4 +127,17 @@ pub(super) fn check_outputs(root: &Path, stage: &StageKind, outputs: &[&str]) ->
         }
     }
     Ok(())
+}
+
+/// Rejects a folder for work that holds foreign files.
+pub(super) fn check_work(dir: &Path) -> Result<()> {
+    let path = dir.to_owned();
+    if is_link(&path) {
+        return Err(Error::Link { path }.into());
+    }
+    let found = match path.is_file() {
+        true => path.file_name().map(PathBuf::from).into_iter().collect(),
+        false => foreign(&path, &listed(&path)?.unwrap_or_default())?,
+    };
+    if found.is_empty() { Ok(()) } else { Err(Error::Foreign { path, found }.into()) }
 }

@@ -1,5 +1,6 @@
 //! Decides which stages must run, and which are reused or resumed.
 
+use super::earlier::Earlier;
 use super::failure::{Failure, Result};
 use super::inputs::{check_overlaps, expected_on, identify_inputs};
 use super::kept_models::kept;
@@ -8,10 +9,10 @@ use super::outdated;
 use super::ownership;
 use super::planned::{Action, PlannedStage};
 use super::record::StageRecord;
-use super::shards;
+use super::shards::ShardFolder;
 use super::stage::Stage;
-use super::timings::times_seen;
-use super::work_folder::WorkFolder;
+use super::timings::Timings;
+use super::work_folder::{WorkFolder, work_path};
 use std::path::Path;
 
 /// Decides on every stage, in order; those in `redo` are done again even if they are up to date. `root` is the folder
@@ -37,34 +38,32 @@ pub fn plan<'a>(
     // Stages that are up to date now may have to run once earlier ones have written.
     let mut may_run: Vec<&StageKind> = Vec::new();
     for stage in stages {
-        let earlier = StageRecord::done(root, stage.kind())?;
-        let (inputs, missing) = identify_inputs(root, &planned, stage.as_ref(), earlier.as_ref())?;
+        let earlier = earlier(root, stage.kind())?;
+        let (inputs, missing) = identify_inputs(root, &planned, stage.as_ref(), earlier.done.as_ref())?;
         let mut expected = expected_on(stage.as_ref(), inputs)?;
         // Work on the same contents keeps its fingerprint when files are moved, and so do later stages.
-        let begun = begun(root, stage.kind())?;
-        if let Some(same) = earlier.iter().chain(&begun).find(|earlier| expected.is_same_work(earlier)) {
+        if let Some(same) = earlier.done.iter().chain(&earlier.begun).find(|earlier| expected.is_same_work(earlier)) {
             expected.fingerprint.clone_from(&same.fingerprint);
         }
         let is_requested = redo.contains(&stage.kind());
-        let action = decide(root, stage.kind(), &mut expected, is_requested)?;
+        let action = decide(root, &earlier, &mut expected, is_requested)?;
         if let Some(failure) = missing.filter(|_| action != Action::Reuse) {
             return Err(failure);
         }
-        let is_redone = earlier.is_some();
-        let is_kept = earlier.as_ref().is_some_and(|earlier| outdated::is_kept(stage.kind(), earlier));
+        let is_kept = earlier.done.as_ref().is_some_and(|done| outdated::is_kept(stage.kind(), done));
         let reads_anew = stage.inputs().iter().any(|input| input.producer.is_some_and(|kind| may_run.contains(&kind)));
         if action != Action::Reuse || (reads_anew && !is_kept) {
-            WorkFolder::check_ours(root, stage.kind())?;
-            ownership::check_outputs(root, stage.kind(), stage.outputs())?;
+            ownership::check_work(&work_path(root, stage.kind()))?;
+            ownership::check_outputs(root, earlier.done.as_ref(), stage.outputs())?;
             may_run.push(stage.kind());
         }
         let kept = match &action {
             Action::Reuse => Vec::new(),
             // The user who began the training has requested it already.
-            Action::Resume => kept(root, stage.kind(), &expected, "", true)?,
-            Action::Run(why) => kept(root, stage.kind(), &expected, why, is_requested)?,
+            Action::Resume => kept(root, &earlier, &expected, "", true)?,
+            Action::Run(why) => kept(root, &earlier, &expected, why, is_requested)?,
         };
-        planned.push(PlannedStage { stage, expected, action, is_redone, kept, is_selected: true, is_requested });
+        planned.push(PlannedStage { stage, expected, action, earlier, kept, is_selected: true, is_requested });
     }
     Ok(planned)
 }
@@ -98,17 +97,33 @@ pub fn select<'a>(planned: Vec<PlannedStage<'a>>, selected: &[&'static StageKind
 
 /// The record of unfinished work on a stage in `root`, if there is any.
 pub fn begun(root: &Path, stage: &'static StageKind) -> Result<Option<StageRecord>> {
-    let started = WorkFolder::started(root, stage)?;
-    started.map_or_else(|| shards::begun(root, stage), |started| Ok(Some(started)))
+    unfinished(root, stage, &ShardFolder::all(root, stage)?)
+}
+
+fn unfinished(root: &Path, stage: &'static StageKind, plans: &[ShardFolder]) -> Result<Option<StageRecord>> {
+    Ok(WorkFolder::started(root, stage)?.or_else(|| Some(plans.last()?.identity().stage.clone())))
+}
+
+/// What earlier runs left of a stage in `root`.
+fn earlier(root: &Path, stage: &'static StageKind) -> Result<Earlier> {
+    let (plans, timings) = (ShardFolder::all(root, stage)?, Timings::read(root));
+    Ok(Earlier {
+        stage,
+        begun: unfinished(root, stage, &plans)?,
+        done: StageRecord::done(root, stage)?,
+        is_redone: plans.iter().any(ShardFolder::redoes),
+        times_seen: timings.times_seen(stage),
+        seconds_spent: timings.seconds_spent(stage),
+    })
 }
 
 /// The action for a stage. If it is reused, `expected` gets the times at which its outputs were last verified.
-fn decide(root: &Path, stage: &'static StageKind, expected: &mut StageRecord, is_requested: bool) -> Result<Action> {
-    let (done, begun) = (StageRecord::done(root, stage)?, begun(root, stage)?);
-    let why = match &done {
-        Some(_) if is_requested || shards::is_redone(root, stage)? => "requested by --redo".to_owned(),
+fn decide(root: &Path, earlier: &Earlier, expected: &mut StageRecord, is_requested: bool) -> Result<Action> {
+    let stage = earlier.stage;
+    let why = match &earlier.done {
+        Some(_) if is_requested || earlier.is_redone => "requested by --redo".to_owned(),
         Some(done) if done.fingerprint != expected.fingerprint => expected.changes_since(stage, done),
-        Some(done) => match done.check_outputs(root, &times_seen(root, stage))? {
+        Some(done) => match done.whole_since(root, &earlier.times_seen)? {
             Err(name) => format!("{name} is missing or was changed"),
             Ok(times) => {
                 expected.times = times;
@@ -118,13 +133,13 @@ fn decide(root: &Path, stage: &'static StageKind, expected: &mut StageRecord, is
                 }
             }
         },
-        None => match &begun {
+        None => match &earlier.begun {
             Some(started) if started.fingerprint != expected.fingerprint => expected.changes_since(stage, started),
             _ => "not done yet".to_owned(),
         },
     };
-    Ok(match begun {
-        Some(begun) if outdated::can_resume(expected, &begun) => Action::Resume,
+    Ok(match &earlier.begun {
+        Some(begun) if outdated::can_resume(expected, begun) => Action::Resume,
         _ => Action::Run(why),
     })
 }

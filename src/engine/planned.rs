@@ -1,5 +1,6 @@
 //! A stage with the decision on it: what the plan says and execution reads.
 
+use super::earlier::Earlier;
 use super::kept_models::Kept;
 use super::record::StageRecord;
 use super::stage::Stage;
@@ -14,8 +15,8 @@ pub struct PlannedStage<'a> {
     pub expected: StageRecord,
     /// The action to take.
     pub action: Action,
-    /// Whether it was done before, with other settings or inputs.
-    pub is_redone: bool,
+    /// What earlier runs left of it.
+    pub(super) earlier: Earlier,
     /// Trained models that are moved aside for new ones.
     pub kept: Vec<Kept>,
     /// Whether it may run: the user selected it, or selected nothing.
@@ -25,11 +26,19 @@ pub struct PlannedStage<'a> {
 }
 
 impl PlannedStage<'_> {
+    /// Hash of its outputs; `None` while unknown, because it may run.
+    pub(super) fn content(&self) -> Option<String> {
+        self.earlier.done.as_ref().filter(|_| self.action == Action::Reuse).and_then(StageRecord::content)
+    }
+
     /// For a stage that is done again: why, and what happens to its earlier results.
     pub fn redone(&self) -> Option<String> {
         let Action::Run(why) = &self.action else { return None };
         let kept = self.kept.iter().map(|Kept { name, as_name }| format!("; the current {name} is moved to {as_name}"));
-        self.is_redone.then(|| format!("{} runs again: {why}{}", self.expected.stage, kept.collect::<String>()))
+        self.earlier
+            .done
+            .is_some()
+            .then(|| format!("{} runs again: {why}{}", self.expected.stage, kept.collect::<String>()))
     }
 }
 

@@ -157,7 +157,7 @@ impl StageRecord {
     /// The record of the finished stage in `root`, if there is one.
     pub fn done(root: &Path, stage: &StageKind) -> Result<Option<Self>> {
         Self::read(&done_path(root, stage), stage).map_err(|error| {
-            unreadable(error, || {
+            Failure::unreadable(error, || {
                 let outputs = stage.outputs.join(", ");
                 format!("restore it from a copy, or move it away together with {outputs}: then {stage} runs again")
             })
@@ -205,13 +205,12 @@ impl StageRecord {
         summary: Value,
     ) -> Result<Self> {
         let files = written.iter().filter(|file| outputs.iter().any(|name| file.starts_with(name)));
-        let files: BTreeSet<PathBuf> = files.cloned().collect();
+        self.files = files.cloned().collect();
         for name in outputs {
-            let mut written = fingerprint_to(&dir.join(name), Some(&below(&files, name)), None)?;
+            let mut written = fingerprint_to(&dir.join(name), Some(&self.files_below(name).collect::<Vec<_>>()), None)?;
             self.times.extend(written.times.take().map(|times| ((*name).to_owned(), times)));
             self.outputs.insert((*name).to_owned(), written);
         }
-        self.files = files;
         self.summary = summary;
         Ok(self)
     }
@@ -219,7 +218,7 @@ impl StageRecord {
     /// By output, a hash of the times at which its large files were written, if all outputs are as the stage wrote
     /// them; otherwise, as the inner error, the first output that is not. Foreign files beside them do not count.
     /// Outputs that were `seen` whole are not read again while sizes and times of their files stay.
-    pub(super) fn check_outputs(
+    pub(super) fn whole_since(
         &self,
         root: &Path,
         seen: &BTreeMap<String, String>,
@@ -246,6 +245,11 @@ impl StageRecord {
         Ok(self.found(root, name, None)?.is_some_and(|now| now.agrees_with(written)))
     }
 
+    /// The files of an output, relative to it.
+    pub(super) fn files_below(&self, name: &str) -> impl Iterator<Item = PathBuf> {
+        self.files.iter().filter_map(move |file| file.strip_prefix(name).ok().map(Path::to_owned))
+    }
+
     /// The present content of the files of an output; `None` if it does not exist, or is neither file nor folder. An
     /// output that cannot be read now may well be whole.
     fn found(&self, root: &Path, name: &str, known: Option<&PathFingerprint>) -> Result<Option<PathFingerprint>> {
@@ -253,7 +257,7 @@ impl StageRecord {
         if !path.is_file() && !path.is_dir() {
             return Ok(None);
         }
-        Ok(Some(fingerprint_to(&path, Some(&below(&self.files, name)), known)?))
+        Ok(Some(fingerprint_to(&path, Some(&self.files_below(name).collect::<Vec<_>>()), known)?))
     }
 
     /// Whether a setting of the stage's own section differs from `earlier`. Values that come from presets are not the
@@ -294,18 +298,6 @@ impl StageRecord {
         let more = if n_more > 0 { format!(" and {n_more} more") } else { String::new() };
         format!("changed: {}{more}", changes.join(", "))
     }
-}
-
-/// The files of an output, relative to it.
-fn below(files: &BTreeSet<PathBuf>, name: &str) -> Vec<PathBuf> {
-    files.iter().filter_map(|file| file.strip_prefix(name).ok().map(Path::to_owned)).collect()
-}
-
-/// The failure to read a record, with advice if it is damaged.
-pub(super) fn unreadable(error: Error, advice: impl FnOnce() -> String) -> Failure {
-    let is_damaged = matches!(error, Error::Record { .. });
-    let failure = Failure::fault(error);
-    if is_damaged { failure.with_hint(format!("nothing was changed; {}", advice())) } else { failure }
 }
 
 /// The path of the record of a finished stage.

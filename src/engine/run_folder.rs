@@ -5,7 +5,7 @@
 //! differ in the last two alone: everything that distinguishes one run from another is kept there.
 
 use super::device::ComputeChoice;
-use super::execute::{Moment, execute};
+use super::execute::execute;
 use super::failure::{Blame, Failure, Result};
 use super::kind::StageKind;
 use super::log::{LOG_FILE, Logged};
@@ -24,7 +24,6 @@ use crate::nn::Compute;
 use crate::progress::Progress;
 use crate::store::{write_atomically, write_record};
 use serde::{Deserialize, Serialize};
-use std::cell::RefCell;
 use std::collections::BTreeMap;
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -119,17 +118,10 @@ pub fn run_stages(
     if let Some(RunAbout { config, .. }) = about {
         write_atomically::<std::io::Error>(&root.join(CONFIG_FILE), |file| file.write_all(config.as_bytes()))?;
     }
-    let clock = RefCell::new(StageClock::open(root));
+    let mut clock = StageClock::open(root);
     let context = StageContext { root, compute: &compute, progress: &logged };
-    let mut after = |record: &StageRecord| {
-        clock.borrow_mut().keep_times(record)?;
-        save(Some(record))
-    };
-    let mut around = |stage: &'static StageKind, moment: Moment| {
-        let mut clock = clock.borrow_mut();
-        if moment == Moment::End { clock.end(stage) } else { clock.begin(stage) }
-    };
-    let outcome = execute(planned, (choice, makers), &context, &mut after, &mut around);
+    let after = &mut |record: &StageRecord| save(Some(record));
+    let outcome = execute(planned, (choice, makers), &context, (&logged, &mut clock), after);
     match &outcome {
         Ok(_) => logged.line("done"),
         Err(Failure { blame: Blame::Later, error, .. }) => logged.line(&format!("stopped: {error:#}")),

@@ -38,18 +38,22 @@ pub struct StageTiming {
     pub peak_memory_bytes: Option<u64>,
 }
 
-/// The total time that the stage was at work in the folder `root`, seconds; `None` if unknown, such as after an
-/// interruption.
-pub(super) fn seconds_spent(root: &Path, stage: &StageKind) -> Option<f64> {
-    let timings: Timings = read_json(&root.join(TIMINGS_FILE)).ok()?;
-    timings.stages.get(stage.name)?.iter().map(|timing| timing.seconds).sum()
-}
+impl Timings {
+    /// Those of the folder `root`. They inform people and save reading, and no result depends on them: unreadable ones
+    /// are started anew.
+    pub fn read(root: &Path) -> Self {
+        read_json(&root.join(TIMINGS_FILE)).unwrap_or_default()
+    }
 
-/// By output of a finished stage in the folder `root`, a hash of the times at which its large files were written that
-/// were seen whole.
-pub(super) fn times_seen(root: &Path, stage: &StageKind) -> BTreeMap<String, String> {
-    let timings: Timings = read_json(&root.join(TIMINGS_FILE)).unwrap_or_default();
-    timings.outputs.get(stage.name).cloned().unwrap_or_default()
+    /// The total time that the stage was at work, seconds; `None` if unknown, such as after an interruption.
+    pub(super) fn seconds_spent(&self, stage: &StageKind) -> Option<f64> {
+        self.stages.get(stage.name)?.iter().map(|timing| timing.seconds).sum()
+    }
+
+    /// By output of a finished stage, a hash of the times at which its large files were written that were seen whole.
+    pub(super) fn times_seen(&self, stage: &StageKind) -> BTreeMap<String, String> {
+        self.outputs.get(stage.name).cloned().unwrap_or_default()
+    }
 }
 
 /// Keeps `timings.json`.
@@ -61,9 +65,7 @@ pub(super) struct StageClock<'a> {
 
 impl<'a> StageClock<'a> {
     pub(super) fn open(root: &'a Path) -> Self {
-        // Timings inform people and save reading, and no result depends on them: unreadable ones are started anew.
-        let timings = read_json(&root.join(TIMINGS_FILE)).unwrap_or_default();
-        Self { root, timings, began: Instant::now() }
+        Self { root, timings: Timings::read(root), began: Instant::now() }
     }
 
     pub(super) fn begin(&mut self, stage: &StageKind) -> anyhow::Result<()> {

@@ -10,9 +10,9 @@ use super::failure::{Failure, Result};
 use super::kept_models::{self, Kept};
 use super::kind::StageKind;
 use super::ownership;
-use super::record::{StageRecord, done_path, unreadable};
+use super::record::{StageRecord, done_path};
 use crate::files::{
-    self, Error, enter_all, exchange, foreign, keep_list, listed, remove_if_present, remove_leftovers, remove_listed,
+    self, Error, enter_all, exchange, keep_list, listed, remove_if_present, remove_leftovers, remove_listed,
     sync_folder, write_atomically,
 };
 use crate::store::{Error as StoreError, read_record, write_record};
@@ -88,7 +88,7 @@ impl WorkFolder {
 
     fn unreadable(&self, error: StoreError) -> Failure {
         let (dir, stage) = (self.dir.display(), self.stage);
-        unreadable(error, || format!("restore it from a copy, or move {dir} away: then {stage} begins anew"))
+        Failure::unreadable(error, || format!("restore it from a copy, or move {dir} away: then {stage} begins anew"))
     }
 
     /// Resumes the work that an interrupted run left.
@@ -108,19 +108,6 @@ impl WorkFolder {
         work.discard()?;
         work.announce(expected)?;
         Ok(work)
-    }
-
-    /// Rejects a work folder that holds foreign files.
-    pub(super) fn check_ours(root: &Path, stage: &'static StageKind) -> Result<()> {
-        let path = Self::of(root, stage).dir;
-        if files::is_link(&path) {
-            return Err(Error::Link { path }.into());
-        }
-        let found = match path.is_file() {
-            true => path.file_name().map(PathBuf::from).into_iter().collect(),
-            false => foreign(&path, &listed(&path)?.unwrap_or_default())?,
-        };
-        if found.is_empty() { Ok(()) } else { Err(Error::Foreign { path, found }.into()) }
     }
 
     /// The folder into which the stage writes.
@@ -166,11 +153,11 @@ impl WorkFolder {
     /// Puts the outputs in place. A kill at any moment leaves a state from which the same steps go on.
     fn publish(&self, record: &StageRecord) -> Result<()> {
         // An output that is in place already is not examined: the record of the earlier run does not know it.
+        let earlier = StageRecord::done(&self.root, self.stage)?;
         let waits = |name: &&String| self.dir.join(name).exists() && !self.root.join(name).join(NEW_FILE).exists();
         let names: Vec<&str> = record.outputs.keys().filter(waits).map(String::as_str).collect();
-        ownership::check_outputs(&self.root, self.stage, &names)?;
-        Self::check_ours(&self.root, self.stage)?;
-        let earlier = StageRecord::done(&self.root, self.stage)?;
+        ownership::check_outputs(&self.root, earlier.as_ref(), &names)?;
+        ownership::check_work(&self.dir)?;
         let keep = self.kept_names()?;
         let replaced = earlier.iter().flat_map(|earlier| earlier.outputs.keys());
         let places = record.outputs.keys().chain(replaced).flat_map(|name| [self.dir.join(name), self.root.join(name)]);
@@ -179,7 +166,7 @@ impl WorkFolder {
         }
         remove_if_present(&self.dir.join(STARTED_FILE))?;
         for name in record.outputs.keys() {
-            self.put_in_place(name, keep.get(name))?;
+            self.put_in_place(name, keep.get(name), earlier.as_ref())?;
         }
         if let Some(earlier) = &earlier {
             for away in keep.values().map(|as_name| self.root.join(as_name)) {
@@ -198,13 +185,13 @@ impl WorkFolder {
     /// Puts the output `name` in place. Files are renamed over earlier ones, folders are exchanged with them, so that
     /// there is always one or the other. The earlier one then gets the name under which it stays, or is put where it
     /// will be removed.
-    fn put_in_place(&self, name: &str, as_name: Option<&String>) -> Result<()> {
+    fn put_in_place(&self, name: &str, as_name: Option<&String>, earlier: Option<&StageRecord>) -> Result<()> {
         let (new, place) = (self.dir.join(name), self.root.join(name));
         let away = as_name.map_or_else(|| self.dir.join(REPLACED).join(name), |as_name| self.root.join(as_name));
         let mark = place.join(NEW_FILE);
         if new.exists() && !mark.exists() {
             if new.is_dir() && place.is_dir() {
-                self.list_replaced(name)?;
+                self.list_replaced(name, earlier)?;
                 // A kill while the mark was written left a part of it, which would be moved, too.
                 remove_leftovers(&self.dir)?;
                 write_atomically::<std::io::Error>(&new.join(NEW_FILE), |_| Ok(()))?;
@@ -228,22 +215,19 @@ impl WorkFolder {
 
     /// Lists the files of an earlier output under the names that they will have in the work folder, so that they are
     /// known as ours whenever the process is killed.
-    fn list_replaced(&self, name: &str) -> Result<()> {
-        let owned = ownership::owned(&self.root, self.stage)?;
-        let files = owned.iter().filter(|file| file.starts_with(name));
+    fn list_replaced(&self, name: &str, earlier: Option<&StageRecord>) -> Result<()> {
+        let files = earlier.iter().flat_map(|earlier| &earlier.files).filter(|file| file.starts_with(name));
         let names: Vec<PathBuf> = files.flat_map(|file| [file.clone(), Path::new(REPLACED).join(file)]).collect();
         Ok(enter_all(&self.dir, names.iter().map(PathBuf::as_path))?)
     }
 
     /// Removes files that the earlier run wrote under names that this one did not write at all.
     fn remove_stale(&self, earlier: &StageRecord, record: &StageRecord) -> Result<()> {
-        let owned = ownership::owned(&self.root, self.stage)?;
         for name in earlier.outputs.keys().filter(|name| !record.outputs.contains_key(*name)) {
             let place = self.root.join(name);
             if place.is_dir() {
-                let ours = owned.iter().filter_map(|file| file.strip_prefix(name).ok().map(Path::to_owned)).collect();
-                remove_listed(&place, &ours)?;
-            } else if owned.contains(Path::new(name)) {
+                remove_listed(&place, &earlier.files_below(name).collect())?;
+            } else if earlier.files.contains(Path::new(name)) {
                 remove_if_present(&place)?;
             }
         }
@@ -259,7 +243,7 @@ impl WorkFolder {
 
     /// Makes room for new work. An unfinished training is moved aside: it may have cost hours.
     fn discard(&self) -> Result<()> {
-        Self::check_ours(&self.root, self.stage)?;
+        ownership::check_work(&self.dir)?;
         if let Some(started) = Self::started(&self.root, self.stage)?.filter(|_| self.stage.trains) {
             kept_models::keep_unfinished(&started, &self.dir, &self.root)?;
         }

@@ -15,7 +15,7 @@ pub enum Error {
     Store(#[from] store::Error),
     /// A folder that must not be written into: an export has a folder of its own.
     #[error(transparent)]
-    Files(files::Error),
+    Files(#[from] files::Error),
     /// No scenario passes the selection.
     #[error("none of the {n_scenarios} scenarios of {} is {wanted}", .corpus.display())]
     NothingSelected { corpus: PathBuf, n_scenarios: usize, wanted: String },
@@ -28,15 +28,6 @@ pub enum Error {
     /// A table could not be encoded.
     #[error("cannot encode {}: {detail}", .path.display())]
     Encode { path: PathBuf, detail: String },
-}
-
-impl From<files::Error> for Error {
-    fn from(error: files::Error) -> Self {
-        match error {
-            files::Error::Io(error) => Self::Io(error),
-            error => Self::Files(error),
-        }
-    }
 }
 
 impl Error {

@@ -1,6 +1,7 @@
 //! The `[ingest]` section: which recordings become scenes, and how much of each is kept.
 
 use super::error::Error;
+use super::files::split_of_path;
 use super::table::TableMapping;
 use crate::files::paths_as_text;
 use crate::scene::{Dataset, Split};
@@ -116,6 +117,11 @@ impl IngestConfig {
     /// Whether scenes of this split are kept.
     pub fn wants_split(&self, split: Split) -> bool {
         self.splits.is_empty() || self.splits.contains(&split)
+    }
+
+    /// Whether recordings at this path are read, by the split that its folders name.
+    pub(super) fn wants_path(&self, path: &str) -> bool {
+        split_of_path(path).is_none_or(|split| self.wants_split(split))
     }
 
     /// Whether scenes of this place are kept.

@@ -90,30 +90,30 @@ impl MapCatalog {
             return Err(Error::NoMaps { dataset, searched, needed, passed_over });
         }
         catalog.require(needed.into_inner().into_iter().filter(|(id, _)| !catalog.maps.contains_key(id)))?;
-        let broken = catalog.broken.iter().map(|(id, map)| {
+        // Among the recordings, archives that cannot be read are rejects.
+        let archives = if config.map_inputs.is_empty() { BTreeSet::new() } else { catalog.passed_over.clone() };
+        catalog.warn(archives, progress);
+        Ok(catalog)
+    }
+
+    /// Warns of maps that are left out or were mended, and of these archives.
+    fn warn(&mut self, archives: BTreeSet<String>, progress: &dyn Progress) {
+        let broken = self.broken.iter().map(|(id, map)| {
             format!("{}; it is left out, so that recordings of {id}, if there are any, cannot be read", map.error())
         });
         for detail in broken.collect::<Vec<_>>() {
-            catalog.say("maps_passed_over", detail, progress);
+            self.say("maps_passed_over", detail, progress);
         }
-        // Among the recordings, they are rejects.
-        if !config.map_inputs.is_empty() {
-            for path in catalog.passed_over.clone() {
-                catalog.say(
-                    "archives_passed_over",
-                    format!("{path} is passed over: it cannot be read; unpack it"),
-                    progress,
-                );
-            }
+        for path in archives {
+            self.say("archives_passed_over", format!("{path} is passed over: it cannot be read; unpack it"), progress);
         }
-        for Listed { path, report, .. } in catalog.maps.values() {
+        for Listed { path, report, .. } in self.maps.values() {
             let findings = report.findings(path);
             if !findings.is_empty() {
                 progress.warn(&format!("{path}: {}", report.summary()));
             }
-            catalog.findings.extend(findings);
+            self.findings.extend(findings);
         }
-        Ok(catalog)
     }
 
     fn say(&mut self, what: &'static str, detail: String, progress: &dyn Progress) {

@@ -46,6 +46,10 @@ impl<'a> PairNames<'a> {
             (None, None) => None,
         }
     }
+
+    pub(super) fn is_companion(&self, path: &str) -> bool {
+        self.part_of(path).is_some_and(|(_, part)| part == PairPart::Companion)
+    }
 }
 
 /// The text for the first `*` of a pattern in a name; the whole name in a pattern without `*`.

@@ -61,27 +61,6 @@ pub(super) fn section(found: &EvaluationSummary) -> Option<PlainSection> {
         };
         by_set.push(of_series(key).into_iter().chain([n_tracks.to_string()]).chain(sets.iter().map(cell)).collect());
     }
-    let mut telling = PlainTable::new(
-        "What gives generated tracks away",
-        &[
-            "Sweep",
-            "Strength α",
-            "Feature",
-            "Unit",
-            "AUC lost without it (pp)",
-            "AUC of it alone (%)",
-            "Recorded median",
-            "Generated median",
-        ],
-    );
-    for row in &found.telling_features {
-        let key = SeriesKey { group: row.group.clone(), sweep: row.sweep.clone(), level: row.level };
-        let figures =
-            [100.0 * row.auc_drop, 100.0 * row.auc_alone].map(|points| format!("{points:.1}").replace('-', "−"));
-        let medians = [value(row.recorded_median), value(row.generated_median)];
-        let names = [row.feature.clone(), row.unit.clone()];
-        telling.push(of_series(&key).into_iter().chain(names).chain(figures).chain(medians).collect());
-    }
     let mut parts =
         PlainTable::new("By place and class, all features", &["Sweep", "Strength α", "Of", "Tracks", "AUC"]);
     for row in rows.iter().filter(|row| !is_of_all(row)) {
@@ -90,7 +69,7 @@ pub(super) fn section(found: &EvaluationSummary) -> Option<PlainSection> {
             of_series(&row.series()).into_iter().chain([part, row.n_tracks.to_string(), in_words(row)]).collect(),
         );
     }
-    let tables = [by_set, likelihoods(found), telling, parts];
+    let tables = [by_set, likelihoods(found), telling_features(found), parts];
     let tables: Vec<PlainTable> = tables.into_iter().filter(|table| !table.rows.is_empty()).collect();
     (!tables.is_empty()).then(|| PlainSection {
         id: "distinguishability".to_owned(),
@@ -99,6 +78,29 @@ pub(super) fn section(found: &EvaluationSummary) -> Option<PlainSection> {
         tables,
         charts: Vec::new(),
     })
+}
+
+fn telling_features(found: &EvaluationSummary) -> PlainTable {
+    let columns = [
+        "Sweep",
+        "Strength α",
+        "Feature",
+        "Unit",
+        "AUC lost without it (pp)",
+        "AUC of it alone (%)",
+        "Recorded median",
+        "Generated median",
+    ];
+    let mut table = PlainTable::new("What gives generated tracks away", &columns);
+    for row in &found.telling_features {
+        let key = SeriesKey { group: row.group.clone(), sweep: row.sweep.clone(), level: row.level };
+        let figures =
+            [100.0 * row.auc_drop, 100.0 * row.auc_alone].map(|points| format!("{points:.1}").replace('-', "−"));
+        let medians = [value(row.recorded_median), value(row.generated_median)];
+        let names = [row.feature.clone(), row.unit.clone()];
+        table.push(of_series(&key).into_iter().chain(names).chain(figures).chain(medians).collect());
+    }
+    table
 }
 
 /// The meta-metric and its parts over all places, with the recording and constant velocity beside the samples.

@@ -5,6 +5,7 @@ use super::pace::Pace;
 use super::run_state::{Position, Run};
 use super::{Error, FitConfig, TrainJob, TrainTask};
 use crate::nn::{Params, copies, in_pool, keep_freed_memory};
+use crate::progress::Progress;
 use candle_core::backprop::GradStore;
 use candle_core::{DType, Tensor};
 use serde::{Deserialize, Serialize};
@@ -88,10 +89,8 @@ pub fn fit(
         let left_s = time.map(|time| time.until_s - run.position.elapsed_s);
         let replanned = left_s.and_then(|left_s| pace.replanned(config.steps, step, left_s, config.evaluate_every));
         // An interruption changes nothing, unless there is no time left.
-        let replanned = replanned.filter(|steps| first_step == 0 || *steps == step + 1);
-        if replanned.is_some() {
-            run.position.planned = replanned;
-            config.steps = replanned.unwrap_or(config.steps);
+        if let Some(steps) = replanned.filter(|steps| first_step == 0 || *steps == step + 1) {
+            (run.position.planned, config.steps) = (Some(steps), steps);
         }
         let is_last = step == config.steps;
         if step.is_multiple_of(config.log_every) || is_last {
@@ -108,15 +107,8 @@ pub fn fit(
         progress.advance(1);
     }
     progress.finish();
-    let n_steps = run.position.step;
-    if let Some(ema) = &mut run.ema {
-        ema.swap(params)?;
-    }
-    if let Some((step, _)) = run.position.best.filter(|(step, _)| *step < n_steps) {
-        progress.note(&format!("the weights of step {step} are kept: later ones are worse on held-out scenes"));
-        params.load(&run.best)?;
-    }
-    let Position { best, statistics, .. } = run.position;
+    run.choose_weights(params, progress)?;
+    let Position { step: n_steps, best, statistics, .. } = run.position;
     Ok(FitOutcome { n_steps, steps_taken: n_steps - first_step, best: best.map(|(_, badness)| badness), statistics })
 }
 
@@ -140,6 +132,18 @@ pub(super) fn take_steps(
 }
 
 impl Run {
+    /// Puts the averaged weights, or those of an earlier step that was better, into `params`.
+    fn choose_weights(&mut self, params: &mut Params, progress: &dyn Progress) -> Result<(), Error> {
+        if let Some(ema) = &mut self.ema {
+            ema.swap(params)?;
+        }
+        if let Some((step, _)) = self.position.best.filter(|(step, _)| *step < self.position.step) {
+            progress.note(&format!("the weights of step {step} are kept: later ones are worse on held-out scenes"));
+            params.load(&self.best)?;
+        }
+        Ok(())
+    }
+
     fn step(&mut self, config: &FitConfig, params: &Params, task: &dyn TrainTask) -> Result<(), Error> {
         let step = self.position.step;
         in_pool(params.device(), || {
@@ -226,7 +230,7 @@ impl Run {
 mod tests {
     use super::*;
     use crate::nn::{Compute, Init, read_checkpoint};
-    use crate::progress::{Progress, Silent};
+    use crate::progress::Silent;
     use crate::seed::Seed;
     use crate::train::LearningRateDecay;
     use candle_core::Device;

@@ -1,9 +1,8 @@
 //! A stage that writes a few lines, and ways to change its run folder.
 
-use crate::engine::execute::execute;
 use crate::engine::plan::plan;
 use crate::engine::planned::{Action, PlannedStage};
-use crate::engine::run_folder::{RunFolder, StageTiming, TIMINGS_FILE, Timings};
+use crate::engine::run_folder::{RunFolder, StageTiming, TIMINGS_FILE, Timings, run_stages};
 use crate::engine::shards::Makers;
 use crate::engine::testing::{KINDS, kind};
 use crate::engine::{ComputeChoice, Failure, Result, Stage, StageContext, StageInput, StageKind, Whole, Work};
@@ -94,12 +93,11 @@ pub(super) struct Planned {
 
 /// Runs the stage as the program does.
 pub(super) fn run(root: &Path, toy: &Toy, redo: &[&'static StageKind]) -> Result<Planned> {
-    let _folder = RunFolder::open(root, &KINDS)?;
+    let folder = RunFolder::open(root, &KINDS)?;
     let mut planned: Vec<PlannedStage<'_>> = plan(root, &KINDS, vec![Box::new(toy.clone())], redo)?;
     let first = planned.first_mut().unwrap();
     let plan = Planned { action: first.action.clone(), redone: first.redone() };
-    let context = StageContext { root, compute: &crate::nn::Compute::cpu(), progress: &Silent };
-    execute(planned, (ComputeChoice::default(), Makers::Alone), &context, &mut |_| Ok(()), &mut |_, _| Ok(()))?;
+    run_stages(&folder, None, (ComputeChoice::default(), Makers::Alone), planned, &Silent)?;
     Ok(plan)
 }
 

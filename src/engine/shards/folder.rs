@@ -6,7 +6,6 @@ use super::division::Division;
 use super::identity::Identity;
 use super::plan_files::{ABOUT_FILE, LOG, PLAN_FILE, discard, plan_dirs, plans_of};
 use super::tries::{MAX_TRIES, Tries};
-use crate::engine::record::unreadable;
 use crate::engine::{Failure, Result, ShardNames, StageKind};
 use crate::files::{FileStamp, files_below, remove_if_present};
 use crate::store::{self, read_record, write_record};
@@ -124,7 +123,7 @@ impl ShardFolder {
     }
 
     /// Whether the stage was requested to be done again.
-    pub(super) fn redoes(&self) -> bool {
+    pub(in crate::engine) fn redoes(&self) -> bool {
         self.about.redoes
     }
 
@@ -146,7 +145,7 @@ impl ShardFolder {
     }
 
     /// The identity that its workers share.
-    pub(super) fn identity(&self) -> &Identity {
+    pub(in crate::engine) fn identity(&self) -> &Identity {
         &self.about.identity
     }
 
@@ -294,5 +293,5 @@ impl ShardFolder {
 
 /// The failure to read a record in the folder of a plan.
 fn damaged(error: store::Error, dir: &Path) -> Failure {
-    unreadable(error, || format!("move {} away, and plan again", dir.display()))
+    Failure::unreadable(error, || format!("move {} away, and plan again", dir.display()))
 }

@@ -144,16 +144,6 @@ fn alone(
     Ok(folder)
 }
 
-/// The record of planned but unfinished work on `stage` in `root`.
-pub(super) fn begun(root: &Path, stage: &'static StageKind) -> Result<Option<StageRecord>> {
-    Ok(ShardFolder::all(root, stage)?.pop().map(|folder| folder.identity().stage.clone()))
-}
-
-/// Whether workers share a plan to do the stage again.
-pub(super) fn is_redone(root: &Path, stage: &'static StageKind) -> Result<bool> {
-    Ok(ShardFolder::all(root, stage)?.iter().any(ShardFolder::redoes))
-}
-
 /// Removes the plans and shards of the stage with this record, once it is finished. Plans for other work stay; workers'
 /// logs are appended to the log of the run.
 pub(super) fn clean_up(root: &Path, stage: &'static StageKind, done: &StageRecord) -> Result<()> {

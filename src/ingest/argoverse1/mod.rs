@@ -9,7 +9,7 @@ mod vector_map;
 use super::archive::Entry;
 use super::config::IngestConfig;
 use super::error::Error;
-use super::files::{file_name, split_of_path};
+use super::files::file_name;
 use super::pairing::{PairNames, PairReader};
 use super::raw::{RawUnit, map_id};
 use super::source::{Horizon, MapFile, PendingScene, RecordingSource, UnitReader};
@@ -43,7 +43,7 @@ impl RecordingSource for Argoverse1<'_> {
     }
 
     fn is_recording(&self, path: &str) -> bool {
-        path.ends_with(".csv") && split_of_path(path).is_none_or(|split| self.config.wants_split(split))
+        path.ends_with(".csv") && self.config.wants_path(path)
     }
 
     fn pattern(&self) -> &'static str {

@@ -5,8 +5,7 @@ mod tracks;
 
 use super::config::IngestConfig;
 use super::error::Error;
-use super::files::split_of_path;
-use super::pairing::{PairNames, PairPart, PairReader};
+use super::pairing::{PairNames, PairReader};
 use super::raw::{RawScene, RawUnit, Reject};
 use super::source::{Horizon, PendingScene, RecordingSource, UnitReader};
 use std::sync::Arc;
@@ -38,11 +37,11 @@ impl RecordingSource for Argoverse2<'_> {
     }
 
     fn is_recording(&self, path: &str) -> bool {
-        self.names().part_of(path).is_some() && split_of_path(path).is_none_or(|split| self.config.wants_split(split))
+        self.names().part_of(path).is_some() && self.config.wants_path(path)
     }
 
     fn is_companion(&self, path: &str) -> bool {
-        self.names().part_of(path).is_some_and(|(_, part)| part == PairPart::Companion)
+        self.names().is_companion(path)
     }
 
     fn pattern(&self) -> &'static str {

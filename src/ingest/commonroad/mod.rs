@@ -10,7 +10,6 @@ mod tests;
 mod tracks;
 
 use super::config::IngestConfig;
-use super::files::split_of_path;
 use super::map_text::read_text;
 use super::pairing::{PairNames, PairReader};
 use super::raw::{Finding, RawScene, RawUnit, Reject, map_id};
@@ -45,7 +44,7 @@ impl RecordingSource for CommonRoad<'_> {
     }
 
     fn is_recording(&self, path: &str) -> bool {
-        path.ends_with(".xml") && split_of_path(path).is_none_or(|split| self.config.wants_split(split))
+        path.ends_with(".xml") && self.config.wants_path(path)
     }
 
     fn pattern(&self) -> &'static str {

@@ -43,8 +43,8 @@ pub use mapping::{HeadingUnit, PositionOf, TableColumns, TableMapping};
 use self::part_plan::{Planner, SIZES, Sizes};
 use self::parts::PartReader;
 use super::archive::Entry;
-use super::files::{file_stem, split_of_path};
-use super::pairing::{PairNames, PairPart, PairReader};
+use super::files::file_stem;
+use super::pairing::{PairNames, PairReader};
 use super::windows::Recording;
 use super::{
     Error, Horizon, IngestConfig, MapFile, PendingScene, RawUnit, RecordingSource, Reject, UnitReader, UnitSplit,
@@ -94,11 +94,11 @@ impl RecordingSource for Tables<'_> {
     }
 
     fn is_recording(&self, path: &str) -> bool {
-        self.names().part_of(path).is_some() && split_of_path(path).is_none_or(|split| self.config.wants_split(split))
+        self.names().part_of(path).is_some() && self.config.wants_path(path)
     }
 
     fn is_companion(&self, path: &str) -> bool {
-        self.names().part_of(path).is_some_and(|(_, part)| part == PairPart::Companion)
+        self.names().is_companion(path)
     }
 
     fn unit_reader(&self) -> Box<dyn UnitReader + '_> {

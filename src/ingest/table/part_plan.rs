@@ -121,6 +121,16 @@ impl Planner<'_> {
         if n_rows == 0 {
             return Err(reject("no_rows", &"the table has no rows with the id of a track"));
         }
+        let counted = rows.rows.counted();
+        let mut plan = self.cut(recordings, counted).map_err(|detail| reject("frame_out_of_range", &detail))?;
+        if let Some((_, first)) = plan.parts.first_mut() {
+            first.findings = passed.findings(file);
+        }
+        Ok(plan)
+    }
+
+    /// Cuts the recordings of a table.
+    fn cut(&self, mut recordings: BTreeMap<String, KeyedRows>, counted: &'static str) -> Result<Plan, String> {
         let mut in_order: Vec<&mut KeyedRows> = recordings.values_mut().collect();
         in_order.sort_by_key(|seen| seen.number);
         let mut ends: Vec<u64> = in_order.iter().map(|seen| seen.rows.end).collect();
@@ -130,13 +140,9 @@ impl Planner<'_> {
             && in_order.iter().all(|seen| seen.is_sorted);
         let (mut parts, mut n_bytes) = (Vec::new(), Vec::new());
         for seen in in_order {
-            let of_recording =
-                self.parts(seen, rows.rows.counted()).map_err(|detail| reject("frame_out_of_range", &detail))?;
+            let of_recording = self.parts(seen, counted)?;
             n_bytes.extend(of_recording.iter().map(|_| seen.n_bytes / of_recording.len() as u64));
             parts.extend(of_recording.into_iter().map(|part| (seen.number, part)));
-        }
-        if let Some((_, first)) = parts.first_mut() {
-            first.findings = passed.findings(file);
         }
         Ok(Plan { is_sorted, recordings, parts, n_bytes })
     }

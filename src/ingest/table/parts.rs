@@ -17,7 +17,7 @@ use crate::containment::contained;
 use crate::ingest::Error;
 use crate::ingest::archive::Entry;
 use crate::ingest::error::Malformed;
-use crate::ingest::pairing::{PairPart, PairReader};
+use crate::ingest::pairing::PairReader;
 use crate::ingest::parquet_columns::{columns_of, n_bytes_of, read_footer};
 use crate::ingest::raw::{Part, RawUnit, Reject};
 use crate::ingest::source::{EmitUnit, UnitReader};
@@ -169,7 +169,7 @@ impl UnitReader for PartReader<'_> {
             return Ok(emit(Err(Reject { reason: "unreadable", detail })));
         }
         let is_long = head.len() as u64 > self.planner.sizes.whole_bytes;
-        if self.pairs.names.part_of(&entry.path).is_some_and(|(_, part)| part == PairPart::Companion) {
+        if self.pairs.names.is_companion(&entry.path) {
             return self.read_whole(entry, &mut head.as_slice().chain(reader), emit);
         }
         let footer = match head.starts_with(PARQUET) {

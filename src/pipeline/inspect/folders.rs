@@ -2,7 +2,7 @@
 
 use super::{Description, checkpoint, requests};
 use crate::engine::plan::begun;
-use crate::engine::run_folder::{RUN_FILE, RunManifest, TIMINGS_FILE, Timings};
+use crate::engine::run_folder::{RUN_FILE, RunManifest, Timings};
 use crate::engine::{Result, StageKind, StageRecord};
 use crate::pipeline::layout::SAMPLES;
 use crate::pipeline::stages::SampleManifest;
@@ -22,7 +22,7 @@ pub(super) fn run(path: &Path) -> Result<Option<Description>> {
     if !path.is_dir() || (records.is_empty() && started.is_empty() && manifest.is_none()) {
         return Ok(None);
     }
-    let timings: Timings = read_json(&path.join(TIMINGS_FILE)).unwrap_or_default();
+    let timings = Timings::read(path);
     let mut description = Description::new("run folder");
     if let Some(manifest) = &manifest {
         description = description.with("pipeline", manifest.pipeline.as_str());

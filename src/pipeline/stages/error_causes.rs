@@ -59,11 +59,11 @@ impl From<corpus::Error> for Failure {
     fn from(error: corpus::Error) -> Self {
         match error {
             corpus::Error::Store(error) => error.into(),
+            corpus::Error::Io(io) | corpus::Error::Files(files::Error::Io(io)) => match io.kind() {
+                ErrorKind::NotFound | ErrorKind::NotADirectory => Self::input(io),
+                _ => Self::fault(io),
+            },
             corpus::Error::Files(error) => error.into(),
-            corpus::Error::Io(io) if matches!(io.kind(), ErrorKind::NotFound | ErrorKind::NotADirectory) => {
-                Self::input(io)
-            }
-            corpus::Error::Io(io) => Self::fault(io),
             error => Self::input(error),
         }
     }
@@ -84,8 +84,8 @@ impl From<export::Error> for Failure {
     fn from(error: export::Error) -> Self {
         match error {
             export::Error::Store(error) => Self::from(error),
+            export::Error::Io(io) | export::Error::Files(files::Error::Io(io)) => of_named_path(io),
             export::Error::Files(error) => error.into(),
-            export::Error::Io(io) => of_named_path(io),
             error @ export::Error::Encode { .. } => Self::fault(error),
             error => Self::input(error),
         }

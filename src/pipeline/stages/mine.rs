@@ -9,6 +9,7 @@ use crate::pipeline::StageId;
 use crate::pipeline::layout::{EVENTS, EXPOSURE, Layout, MINE_SUMMARY, OCCURRENCES, RATES, TAGS};
 use crate::progress::Progress;
 use crate::rates::{ExposureRow, ExposureTally, Numbered, OccurrenceTally, SceneExposure, Within};
+use crate::scene::Scene;
 use crate::settings::Issue;
 use crate::store::{EventWriter, SceneStore, read_recorded_traffic, write_json_atomically, write_table};
 use rayon::prelude::*;
@@ -124,22 +125,14 @@ impl Whole for Mine<'_> {
         let mut counting = Counting::new(EventWriter::new(&context.root.join(OCCURRENCES), entries));
         let mut tagged: Vec<TaggedScene> = Vec::new();
         context.progress.start("mine", scenes.len() as u64, "scenes");
-        let [has_lanes, has_sizes] = [AtomicBool::new(false), AtomicBool::new(false)];
-        let detect = |chunk: &[usize]| -> Result<Vec<(SceneExposure, Tags, Vec<BehaviorEvent>)>> {
-            let found = chunk.par_iter().map(|idx| {
-                let scene = store.scene(*idx)?;
-                has_lanes.fetch_or(!scene.lanes.is_empty(), Ordering::Relaxed);
-                has_sizes.fetch_or(scene.tracks.iter().any(|track| track.extent.is_some()), Ordering::Relaxed);
-                let found = behaviors.iter().flat_map(|behavior| behavior.detect(&scene));
-                let found = found.filter(|event| !event.is_of_parked(&scene)).collect::<Vec<_>>();
-                Ok((SceneExposure::of(&scene), Tags::of(&scene), found))
-            });
-            found.collect()
+        let has = [AtomicBool::new(false), AtomicBool::new(false)];
+        let search_all = |chunk: &[usize]| -> Result<Vec<_>> {
+            chunk.par_iter().map(|idx| Ok(search(&store.scene(*idx)?, &behaviors, &has))).collect()
         };
         // The events of a chunk are written while the next one is searched.
         let mut found: Vec<BehaviorEvent> = Vec::new();
         for chunk in scenes.chunks(SCENES_PER_CHUNK) {
-            let (next, written) = rayon::join(|| detect(chunk), || writer.write(&found));
+            let (next, written) = rayon::join(|| search_all(chunk), || writer.write(&found));
             written?;
             let by_scene = next?;
             found.clear();
@@ -162,7 +155,7 @@ impl Whole for Mine<'_> {
         }
         writer.write(&found)?;
         context.progress.finish();
-        warn_of_blind(&behaviors, [has_lanes, has_sizes].map(AtomicBool::into_inner), context.progress);
+        warn_of_blind(&behaviors, has.map(AtomicBool::into_inner), context.progress);
         writer.finish()?;
         write_table(&context.root.join(TAGS), tagged.into_iter().map(Ok))?;
         let [exposure, occurrences] = [EXPOSURE, OCCURRENCES].map(|name| context.root.join(name));
@@ -178,6 +171,18 @@ impl Whole for Mine<'_> {
         let n_positive: BTreeMap<&str, u64> = ids.iter().map(|id| (*id, n_positive(id))).collect();
         Ok(json!({ "n_scenes": scenes.len(), "n_events": n_events, "n_positive": n_positive }))
     }
+}
+
+/// The exposure, the tags and the events of a scene; notes whether it has lanes and sizes.
+fn search(
+    scene: &Scene,
+    behaviors: &[Box<dyn Behavior>],
+    [has_lanes, has_sizes]: &[AtomicBool; 2],
+) -> (SceneExposure, Tags, Vec<BehaviorEvent>) {
+    has_lanes.fetch_or(!scene.lanes.is_empty(), Ordering::Relaxed);
+    has_sizes.fetch_or(scene.tracks.iter().any(|track| track.extent.is_some()), Ordering::Relaxed);
+    let found = behaviors.iter().flat_map(|behavior| behavior.detect(scene));
+    (SceneExposure::of(scene), Tags::of(scene), found.filter(|event| !event.is_of_parked(scene)).collect())
 }
 
 /// Counts every moment and every event once.
