@@ -187,10 +187,15 @@ def tails(options):
             if len(severities) < 100 or n_beyond < 1:
                 continue
             level = (severities[n_beyond - 1] + severities[n_beyond]) / 2
+            n_beyond = int((severities > level).sum())
+            if n_beyond == 0:
+                print(f"{place}, {behavior} {parameter}: {(severities == level).sum()} at {sign * level:.2f}, none beyond", file=sys.stderr)
+                continue
             draws = (rng.integers(0, len(pieces), n_drawn) for _ in range(options.draws))
             draws = (([found[i] for i in drawn], np.ones(n_drawn)) for drawn in draws)
             n = len(severities) * n_drawn / len(pieces)
-            print(row(f"{place}, {behavior} {parameter}", f"{sign * level:.2f}", n, draws, level, n_beyond / len(pieces)), flush=True)
+            end = 0.0 if sign < 0 else np.inf
+            print(row(f"{place}, {behavior} {parameter}", f"{sign * level:.2f}", n, draws, level, n_beyond / len(pieces), end), flush=True)
 
 
 def cut(events, minutes):
@@ -220,23 +225,26 @@ def known(options):
             print(row(name, f"{phi}, {spread:.0%}", n, draws, severities[333], 1 / 90), flush=True)
 
 
-HEAD = "| {} | {} | in a draw | given | holds | median width, times | refused: few, no fit, rare, wide |\n|---|---|---:|---:|---:|---:|---|"
+WHYS = ("few", "no fit", "limit", "zero", "rare", "wide")
+HEAD = f"| {{}} | {{}} | in a draw | given | holds | median width, times | refused: {', '.join(WHYS)} |\n|---|---|---:|---:|---:|---:|---|"
 
 
-def row(name, detail, n, draws, level, truth):
+def row(name, detail, n, draws, level, truth, end=np.inf):
     """A row of a table: of the draws with fewer than three events beyond the level."""
-    found = [tail_interval(*draw, level) for draw in draws if sum((each > level).sum() for each in draw[0]) < 3]
+    found = [tail_interval(*draw, level, end) for draw in draws if sum((each > level).sum() for each in draw[0]) < 3]
     given = np.array([each for each in found if not isinstance(each, str)]).reshape(-1, 2)
     holds = f"{100 * np.mean((given[:, 0] <= truth) & (truth <= given[:, 1])):.0f} %" if len(given) else ""
     width = f"{np.median(given[:, 1] / given[:, 0]):.0f}" if len(given) else ""
-    refused = ", ".join(f"{sum(each == why for each in found if isinstance(each, str))}" for why in ("few", "no fit", "rare", "wide"))
+    refused = ", ".join(f"{sum(each == why for each in found if isinstance(each, str))}" for why in WHYS)
     return f"| {name} | {detail} | {n:.0f} | {len(given)} of {len(found)} | {holds} | {width} | {refused} |"
 
 
-def tail_interval(found, exposure, level):
+def tail_interval(found, exposure, level, end):
     """As src/rates/tail.rs defines it; why no rate is given where none is."""
     import golden_rates
 
+    if level >= end:
+        return "zero"
     together, recording = np.concatenate(found), np.repeat(np.arange(len(found)), [len(each) for each in found])
     severities, is_tried = np.sort(together)[::-1], False
     for share in (1.0, 0.7, 0.5, 0.4, 0.3, 0.25, 0.2, 0.15, 0.1):
@@ -250,9 +258,14 @@ def tail_interval(found, exposure, level):
         critical = np.interp(shape, np.arange(-0.5, 1.01, 0.25), CRITICAL)
         if not -0.499 < shape < 0.999 or golden_rates.anderson_darling(y, shape, scale) >= critical:
             continue
+        by_size = [np.interp(shape, np.arange(-0.5, 0.51, 0.25), values) for values in CROWDING.values()]
+        if golden_rates.crowding(y, shape, scale) < np.interp(np.log(len(y)), np.log(list(CROWDING)), by_size):
+            return "limit"
         at = level - threshold
         counts = np.bincount(recording[is_beyond], minlength=len(found))
         survival = stats.genpareto.sf(at, shape, scale=scale)
+        if stats.genpareto.sf(end - threshold, shape, scale=scale) > survival / 2:
+            return "zero"
         # No dispersion can be told of a level that the fitted tail does not reach.
         phi = golden_rates.tail_dispersion(y, at, shape, scale, recording[is_beyond], 2_000) if survival else 1.0
         low, high = profile_interval(y, at, phi)
@@ -300,6 +313,8 @@ def least(_):
 
 # From tests/golden/rates.json.
 CRITICAL = [0.937, 0.858, 0.78, 0.741, 0.691, 0.65, 0.641]
+CROWDING = {30: [0.12, 0.12, 0.088, 0.072, 0.058], 100: [0.047, 0.047, 0.035, 0.026, 0.018],
+            300: [0.029, 0.021, 0.017, 0.012, 0.01], 1000: [0.018, 0.013, 0.0085, 0.0082, 0.0065]}  # fmt: skip
 
 
 def main():

@@ -22,6 +22,8 @@ const LEAST_EVENTS: usize = 30;
 const TIMES_RECORDED: f64 = 10.0;
 /// A bucket is left for more severe events by at most this share of those that enter it.
 const LARGEST_REST: f64 = 0.1;
+/// At most this share of what a fitted tail has beyond a level is impossible: times below zero.
+const LARGEST_IMPOSSIBLE: f64 = 0.5;
 /// No rate is given whose interval spans a larger factor.
 pub(super) const WIDEST: f64 = 100.0;
 
@@ -52,10 +54,10 @@ impl Level {
     pub(super) fn of(within: &Within) -> Option<Self> {
         let (parameter, [from, to]) = within.0.first_key_value().filter(|_| within.0.len() == 1)?;
         let (_, is_larger) = SEVERITIES.into_iter().find(|(name, _)| name == parameter)?;
-        // The others are times, of which none is negative.
+        // The others are times, of which none is negative: a bucket ends there at the latest.
         let (sign, severity, end) = match is_larger {
             true => (1.0, *from, *to),
-            false => (-1.0, -to, if *from > 0.0 { -from } else { f64::INFINITY }),
+            false => (-1.0, -to, -from.max(0.0)),
         };
         Some(Self { parameter: parameter.clone(), sign, severity, end })
     }
@@ -72,6 +74,9 @@ impl Level {
         if sorted.first().is_some_and(|(_, most)| *most > self.end) {
             return Err("more severe events than those of the bucket were recorded");
         }
+        if self.severity >= self.end {
+            return Err("no time is below zero");
+        }
         let mut is_tried = false;
         for share in SHARES {
             let n = ((share * sorted.len() as f64) as usize).min(sorted.len().saturating_sub(1));
@@ -85,7 +90,10 @@ impl Level {
             }
             is_tried = true;
             if let Some(fitted) = Pareto::fit(beyond).filter(Pareto::is_good) {
-                return Ok(Tail { threshold: *threshold, fitted, clusters });
+                return match fitted.is_crowded() {
+                    true => Err("the most severe events are about as severe as each other, as at a limit"),
+                    false => Ok(Tail { threshold: *threshold, fitted, clusters }),
+                };
             }
         }
         Err(match is_tried {
@@ -105,8 +113,11 @@ impl Level {
         let Tail { threshold, fitted, clusters } = tail;
         let at = self.severity - threshold;
         let (share, of_share) = fitted.survival(at, fitted.dispersion(at, clusters));
-        if fitted.survival(self.end - threshold, 1.0).0 > LARGEST_REST * share {
-            return Err("the tail goes on beyond the far end of the bucket");
+        let rest = fitted.survival(self.end - threshold, 1.0).0;
+        match self.end == 0.0 {
+            true if rest > LARGEST_IMPOSSIBLE * share => return Err("most of the fitted tail beyond is below zero"),
+            false if rest > LARGEST_REST * share => return Err("the tail goes on beyond the far end of the bucket"),
+            _ => {}
         }
         let found = Estimate::new(beyond.rate, beyond.interval).times(Estimate::new(share, of_share));
         if n_beyond as f64 / beyond.rate * found.interval.high * TIMES_RECORDED < 1.0 {

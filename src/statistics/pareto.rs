@@ -4,6 +4,7 @@
 //! distribution below (Pickands 1975; Coles 2001, section 4.2).
 
 use super::Interval;
+use super::gamma::distribution as gamma_distribution;
 use std::collections::BTreeMap;
 
 /// Shapes for which maximum likelihood is regular (Smith 1985), and above which nothing is fitted.
@@ -114,18 +115,64 @@ impl Pareto {
     pub fn is_good(&self) -> bool {
         self.anderson_darling() < critical_value(self.shape)
     }
+
+    /// The least probability, over `k` from 2 to half of the exceedances, that the `k` largest together come so close to
+    /// the next one. On the scale of the logarithm of the fitted survival, exceedances are exponential variables, and
+    /// the distances of their `k` largest from the next one sum up to a gamma variable of shape `k` (Rényi 1953).
+    pub fn crowding(&self) -> f64 {
+        let mut scaled: Vec<f64> = self.exceedances.iter().map(|y| -ln_survival(*y, self.shape, self.scale)).collect();
+        scaled.sort_by(|a, b| b.total_cmp(a));
+        let mut sum = scaled[0];
+        let mut least = 1.0_f64;
+        for k in 2..=scaled.len() / 2 {
+            sum += scaled[k - 1];
+            least = least.min(gamma_distribution(sum - k as f64 * scaled[k], k as f64));
+        }
+        least
+    }
+
+    /// Whether the largest exceedances crowd, as where they reach a limit: closer together than in 95 % of samples of
+    /// the fitted distribution. The fit of all exceedances hardly sees the few at a limit, but what is beyond them
+    /// hangs on it.
+    pub fn is_crowded(&self) -> bool {
+        self.crowding() < critical_crowding(self.exceedances.len(), self.shape)
+    }
 }
+
+/// The crowding that 5 % of samples of so many exceedances and this shape fall below, linear between those simulated by
+/// `scripts/golden_rates.py`, by the logarithm of the number.
+fn critical_crowding(n: usize, shape: f64) -> f64 {
+    let between = |values: &[f64], at: f64| {
+        let at = at.clamp(0.0, (values.len() - 1) as f64);
+        let below = (at as usize).min(values.len() - 2);
+        values[below] + (values[below + 1] - values[below]) * (at - below as f64)
+    };
+    let of_shape = CRITICAL_CROWDING.map(|(_, values)| between(&values, (shape - SHAPES[0]) / STEP));
+    let ln_sizes = CRITICAL_CROWDING.map(|(n, _)| (n as f64).ln());
+    let below = (1..ln_sizes.len() - 1).take_while(|i| ln_sizes[*i] <= (n as f64).ln()).count();
+    let at = ((n as f64).ln() - ln_sizes[below]) / (ln_sizes[below + 1] - ln_sizes[below]);
+    between(&of_shape, below as f64 + at.clamp(0.0, 1.0))
+}
+
+/// Numbers of exceedances, with the critical values for shapes from -0.5 to 0.5 in steps of [`STEP`].
+const CRITICAL_CROWDING: [(usize, [f64; 5]); 4] = [
+    (30, [0.12, 0.12, 0.088, 0.072, 0.058]),
+    (100, [0.047, 0.047, 0.035, 0.026, 0.018]),
+    (300, [0.029, 0.021, 0.017, 0.012, 0.01]),
+    (1000, [0.018, 0.013, 0.0085, 0.0082, 0.0065]),
+];
 
 /// The value that the statistic exceeds in 10 % of samples of a distribution of this shape (simulated by
 /// `scripts/golden_rates.py`, as Choulakian and Stephens 2001 do).
 fn critical_value(shape: f64) -> f64 {
-    const STEP: f64 = 0.25;
     let at = (shape - SHAPES[0]) / STEP;
     let below = (at.floor().max(0.0) as usize).min(CRITICAL.len() - 2);
     CRITICAL[below] + (CRITICAL[below + 1] - CRITICAL[below]) * (at - below as f64)
 }
 
-/// Critical values for shapes from -0.5 in steps of 0.25.
+/// Steps of shapes for which critical values are known.
+const STEP: f64 = 0.25;
+/// Critical values for shapes from -0.5 on.
 const CRITICAL: [f64; 7] = [0.937, 0.858, 0.78, 0.741, 0.691, 0.65, 0.641];
 
 fn ln_survival(y: f64, shape: f64, scale: f64) -> f64 {
@@ -194,6 +241,7 @@ mod tests {
         /// Shape and scale.
         fit: [f64; 2],
         anderson_darling: f64,
+        crowding: f64,
         /// Where, the dispersion, survival, and the ends of its interval.
         survival: Vec<[f64; 5]>,
         /// Where, the number of clusters of exceedances that follow each other, and the dispersion.
@@ -209,6 +257,7 @@ mod tests {
             let close = |a: f64, b: f64| (a - b).abs() <= 2e-3 * b.abs() + 1e-9;
             assert!((fitted.shape - case.fit[0]).abs() < 1e-3 && close(fitted.scale, case.fit[1]), "{}", case.name);
             assert!(close(fitted.anderson_darling(), case.anderson_darling), "{}", case.name);
+            assert!(close(fitted.crowding(), case.crowding) && !fitted.is_crowded(), "{}", case.name);
             for [y, dispersion, survival, low, high] in case.survival {
                 let (found, interval) = fitted.survival(y, dispersion);
                 let all = close(found, survival) && close(interval.low, low) && close(interval.high, high);
@@ -228,5 +277,34 @@ mod tests {
         let simulated: Vec<f64> = serde_json::from_value(crate::statistics::golden()["critical"].clone()).unwrap();
         assert_eq!(CRITICAL.to_vec(), simulated);
         assert!((critical_value(-0.375) - 0.5 * (CRITICAL[0] + CRITICAL[1])).abs() < 1e-12);
+        let simulated: Vec<[f64; 5]> =
+            serde_json::from_value(crate::statistics::golden()["crowding_critical"].clone()).unwrap();
+        assert_eq!(CRITICAL_CROWDING.map(|(_, values)| values).to_vec(), simulated);
+        let [.., (_, of_300), (_, of_1000)] = CRITICAL_CROWDING;
+        for (n, shape, expected) in
+            [(5, -0.9, 0.12), (30, 0.0, 0.088), (300, 0.125, 0.5 * (of_300[2] + of_300[3])), (9999, 0.9, 0.0065)]
+        {
+            assert!((critical_crowding(n, shape) - expected).abs() < 1e-12, "{n}, {shape}");
+        }
+        let between = critical_crowding(548, 0.25);
+        assert!((between - 0.5 * (of_300[3] + of_1000[3])).abs() < 1e-5, "{between}");
+    }
+
+    #[test]
+    fn the_largest_crowd_at_a_limit_and_seldom_without_one() {
+        let mut rng = crate::seed::Seed(3).rng();
+        let mut n_crowded = |n: usize, limit: f64| {
+            let is_crowded = |_| {
+                let sample = (0..n).map(|_| (-(1.0 - rng.uniform()).ln()).min(limit)).collect();
+                Pareto::fit(sample).filter(Pareto::is_good).map(|fitted| fitted.is_crowded())
+            };
+            let found: Vec<bool> = (0..60).filter_map(is_crowded).collect();
+            [found.iter().filter(|is_crowded| **is_crowded).count(), found.len()]
+        };
+        // A twentieth of the values is at the limit.
+        let at_limit = n_crowded(100, 3.0);
+        assert!(at_limit[1] >= 20 && at_limit[0] * 10 >= 9 * at_limit[1], "{at_limit:?}");
+        let [n, of] = n_crowded(100, f64::INFINITY);
+        assert!(of >= 45 && n * 10 <= of, "{n} of {of}");
     }
 }

@@ -166,7 +166,9 @@ fn a_level_that_was_not_passed_is_extrapolated_or_not_with_the_reason() {
     assert_eq!((row.method, row.n_events), (RateMethod::Extrapolated, 1), "{:?}", row.note);
     assert!((row.rate_per_hour / expected).ln().abs() < 1.0, "{} of {expected}", row.rate_per_hour);
     assert!(row.per_hour.low < expected && expected < row.per_hour.high);
-    for (text, reason) in [("pet_s -9..-3", "less than once"), ("pet_s 0.1..0.3", "far end of the bucket")] {
+    let reasons =
+        [("pet_s -9..-3", "no time"), ("pet_s -9..0.2", "below zero"), ("pet_s 0.1..0.3", "far end of the bucket")];
+    for (text, reason) in reasons {
         let row = ask(text);
         assert!(row.method == RateMethod::NoneFound && row.note.as_ref().unwrap().contains(reason), "{:?}", row.note);
     }
