@@ -191,7 +191,8 @@ def tails(options):
             if n_beyond == 0:
                 print(f"{place}, {behavior} {parameter}: {(severities == level).sum()} at {sign * level:.2f}, none beyond", file=sys.stderr)
                 continue
-            draws = (rng.integers(0, len(pieces), n_drawn) for _ in range(options.draws))
+            # Without replacement: a piece that is drawn twice would have the same severities twice.
+            draws = (rng.choice(len(pieces), n_drawn, replace=False) for _ in range(options.draws))
             draws = (([found[i] for i in drawn], np.ones(n_drawn)) for drawn in draws)
             n = len(severities) * n_drawn / len(pieces)
             end = 0.0 if sign < 0 else np.inf
@@ -207,7 +208,10 @@ def cut(events, minutes):
 # Distributions of severities: the value that is exceeded with a probability.
 KNOWN = [("exponential", lambda p: -np.log(p)), ("generalized Pareto, shape -0.3", lambda p: (1 - p**0.3) / 0.3),
          ("generalized Pareto, shape 0.2", lambda p: (p**-0.2 - 1) / 0.2), ("half normal", lambda p: special.ndtri(1 - p / 2)),
-         ("lognormal", lambda p: np.exp(-0.6 * special.ndtri(p)))]  # fmt: skip
+         ("lognormal", lambda p: np.exp(-0.6 * special.ndtri(p))),
+         ("exponential, held at 4 to 4.1", lambda p: np.where(p < LIMITED, 4.1 - 0.1 * p / LIMITED, -np.log(p)))]  # fmt: skip
+# The share of events that reach a limit.
+LIMITED = np.exp(-4)
 
 
 def known(options):

@@ -7,7 +7,8 @@
 Loops begin with the scenes of the fixtures. Plain ones say how many reach each value of a severity, from which levels
 follow: one in `--copies` of the loops that reach a level reaches the next. Of the loops that are split at these, every
 second one gives the limits of EVENTS at which they have the shares of SHARES; the others estimate them. Plain estimates
-of a share p vary by p (1 - p) a loop, split ones as their loops do.
+of a share p vary by p (1 - p) a loop, split ones as their loops do. Where a share u of the events is in loops that never
+reach the first level, those alone vary by u p: no levels and copies beyond it take less than u times the evaluations.
 """
 
 import argparse
@@ -138,12 +139,14 @@ def main():
     cost = [figures["n_futures"] / figures["n_loops"] for figures in (of_plain, of_split)]
     print(f"levels {levels}, reached by {[f'{reached:.2g}' for reached in of_split['reached']]}")
     print(f"{len(plain)} plain loops of {cost[0]:.1f} futures, {len(split)} of {cost[1]:.1f} that are split\n")
-    print("| event | a loop, split | plain (found) | times fewer evaluations |\n|---|---:|---:|---:|")
+    print("| event | a loop, split | plain (found) | times fewer evaluations | below the first level |\n|---|---:|---:|---:|---:|")
     for name, is_of in events(split[::2]):
         sums, hits = (np.array([sum(e[2] for e in loop if is_of(*e[:2])) for loop in found]) for found in (split[1::2], plain))
         mean, error, p = sums.mean(), sums.std(ddof=1) / len(sums) ** 0.5, hits.mean()
+        found = [weight for loop in split for of, values, weight in loop if is_of(of, values)]
+        below = sum(weight for weight in found if weight == 1) / sum(found)
         gain = mean * (1 - mean) * cost[0] / (sums.var(ddof=1) * cost[1]) if sums.any() else np.nan
-        print(f"| {name} | {mean:.2g} ± {error:.1g} | {p:.2g} ({hits.sum():.0f}) | {gain:.1f} |")
+        print(f"| {name} | {mean:.2g} ± {error:.1g} | {p:.2g} ({hits.sum():.0f}) | {gain:.1f} | {below:.0%} |")
 
 
 if __name__ == "__main__":
