@@ -176,7 +176,7 @@ def main():
         tail("heavy", 0.3, 90, [2.0, 10.0, 50.0], rng),
     ]
     golden["critical"] = [critical(shape) for shape in np.arange(-0.5, 1.01, 0.25)]
-    golden["crowding_critical"] = [[crowding_critical(shape, n) for shape in (-0.5, -0.25, 0, 0.25, 0.5)] for n in (30, 100, 300, 1000)]
+    golden["crowding_critical"] = [[crowding_critical(shape, n) for shape in (-0.5, -0.25, 0, 0.25, 0.5)] for n in (30, 95, 300, 949)]
     lines = [f"{json.dumps(name)}: {json.dumps(values)}" for name, values in golden.items()]
     output.write_text("{\n" + ",\n".join(lines) + "\n}\n")
 

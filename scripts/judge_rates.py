@@ -181,22 +181,22 @@ def tails(options):
         pieces = [piece for run in runs for piece in cut(run["events"], options.minutes)]
         print(f"{place}: {len(runs) / 6:.0f} h", file=sys.stderr)
         for behavior, parameter, sign in SEVERITIES:
-            found = [np.array([sign * event[3][parameter] for event in piece if event[0] == behavior and parameter in event[3]]) for piece in pieces]
+            # As src/rates/tail.rs has it: of times, the logarithm.
+            severity = (lambda value: -np.log(value) if value > 0 else np.inf) if sign < 0 else float
+            found = [np.array([severity(event[3][parameter]) for event in piece if event[0] == behavior and parameter in event[3]]) for piece in pieces]
             severities = np.sort(np.concatenate(found))[::-1]
             n_beyond = round(len(pieces) / n_drawn / 3)
             if len(severities) < 100 or n_beyond < 1:
                 continue
             level = (severities[n_beyond - 1] + severities[n_beyond]) / 2
-            n_beyond = int((severities > level).sum())
-            if n_beyond == 0:
-                print(f"{place}, {behavior} {parameter}: {(severities == level).sum()} at {sign * level:.2f}, none beyond", file=sys.stderr)
+            if level == np.inf:
                 continue
             # Without replacement: a piece that is drawn twice would have the same severities twice.
             draws = (rng.choice(len(pieces), n_drawn, replace=False) for _ in range(options.draws))
             draws = (([found[i] for i in drawn], np.ones(n_drawn)) for drawn in draws)
             n = len(severities) * n_drawn / len(pieces)
-            end = 0.0 if sign < 0 else np.inf
-            print(row(f"{place}, {behavior} {parameter}", f"{sign * level:.2f}", n, draws, level, n_beyond / len(pieces), end), flush=True)
+            value, beyond = np.exp(-level) if sign < 0 else level, (severities > level).sum()
+            print(row(f"{place}, {behavior} {parameter}", f"{value:.2f}", n, draws, level, beyond / len(pieces)), flush=True)
 
 
 def cut(events, minutes):
@@ -209,6 +209,7 @@ def cut(events, minutes):
 KNOWN = [("exponential", lambda p: -np.log(p)), ("generalized Pareto, shape -0.3", lambda p: (1 - p**0.3) / 0.3),
          ("generalized Pareto, shape 0.2", lambda p: (p**-0.2 - 1) / 0.2), ("half normal", lambda p: special.ndtri(1 - p / 2)),
          ("lognormal", lambda p: np.exp(-0.6 * special.ndtri(p))),
+         ("logarithm of gamma times, shape 2", lambda p: -np.log(special.gammaincinv(2, p))),
          ("exponential, held at 4 to 4.1", lambda p: np.where(p < LIMITED, 4.1 - 0.1 * p / LIMITED, -np.log(p)))]  # fmt: skip
 # The share of events that reach a limit.
 LIMITED = np.exp(-4)
@@ -229,13 +230,13 @@ def known(options):
             print(row(name, f"{phi}, {spread:.0%}", n, draws, severities[333], 1 / 90), flush=True)
 
 
-WHYS = ("few", "no fit", "limit", "zero", "rare", "wide")
+WHYS = ("few", "no fit", "limit", "rare", "wide")
 HEAD = f"| {{}} | {{}} | in a draw | given | holds | median width, times | refused: {', '.join(WHYS)} |\n|---|---|---:|---:|---:|---:|---|"
 
 
-def row(name, detail, n, draws, level, truth, end=np.inf):
+def row(name, detail, n, draws, level, truth):
     """A row of a table: of the draws with fewer than three events beyond the level."""
-    found = [tail_interval(*draw, level, end) for draw in draws if sum((each > level).sum() for each in draw[0]) < 3]
+    found = [tail_interval(*draw, level) for draw in draws if sum((each > level).sum() for each in draw[0]) < 3]
     given = np.array([each for each in found if not isinstance(each, str)]).reshape(-1, 2)
     holds = f"{100 * np.mean((given[:, 0] <= truth) & (truth <= given[:, 1])):.0f} %" if len(given) else ""
     width = f"{np.median(given[:, 1] / given[:, 0]):.0f}" if len(given) else ""
@@ -243,14 +244,14 @@ def row(name, detail, n, draws, level, truth, end=np.inf):
     return f"| {name} | {detail} | {n:.0f} | {len(given)} of {len(found)} | {holds} | {width} | {refused} |"
 
 
-def tail_interval(found, exposure, level, end):
+def tail_interval(found, exposure, level):
     """As src/rates/tail.rs defines it; why no rate is given where none is."""
     import golden_rates
 
-    if level >= end:
-        return "zero"
     together, recording = np.concatenate(found), np.repeat(np.arange(len(found)), [len(each) for each in found])
     severities, is_tried = np.sort(together)[::-1], False
+    if len(severities) and severities[0] == np.inf:
+        return "limit"
     for share in (1.0, 0.7, 0.5, 0.4, 0.3, 0.25, 0.2, 0.15, 0.1):
         threshold = severities[min(int(share * len(severities)), len(severities) - 1)]
         is_beyond = together > threshold
@@ -268,8 +269,6 @@ def tail_interval(found, exposure, level, end):
         at = level - threshold
         counts = np.bincount(recording[is_beyond], minlength=len(found))
         survival = stats.genpareto.sf(at, shape, scale=scale)
-        if stats.genpareto.sf(end - threshold, shape, scale=scale) > survival / 2:
-            return "zero"
         # No dispersion can be told of a level that the fitted tail does not reach.
         phi = golden_rates.tail_dispersion(y, at, shape, scale, recording[is_beyond], 2_000) if survival else 1.0
         low, high = profile_interval(y, at, phi)

@@ -22,17 +22,20 @@ const LEAST_EVENTS: usize = 30;
 const TIMES_RECORDED: f64 = 10.0;
 /// A bucket is left for more severe events by at most this share of those that enter it.
 const LARGEST_REST: f64 = 0.1;
-/// At most this share of what a fitted tail has beyond a level is impossible: times below zero.
-const LARGEST_IMPOSSIBLE: f64 = 0.5;
 /// No rate is given whose interval spans a larger factor.
 pub(super) const WIDEST: f64 = 100.0;
+
+/// How severe a value is. Times are by the logarithm, with which no tail goes on below zero. Where the density of times
+/// at zero is positive, it has an exponential tail; their own ends there as none of a regular shape does.
+fn severity_of(value: f64, is_larger: bool) -> f64 {
+    if is_larger { value } else { -value.max(0.0).ln() }
+}
 
 /// A bucket of the most severe events.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Level {
     pub(super) parameter: String,
-    /// 1 where larger values are more severe, else -1.
-    sign: f64,
+    is_larger: bool,
     /// The severity that events of the bucket pass.
     severity: f64,
     /// The severity at its far end.
@@ -54,16 +57,18 @@ impl Level {
     pub(super) fn of(within: &Within) -> Option<Self> {
         let (parameter, [from, to]) = within.0.first_key_value().filter(|_| within.0.len() == 1)?;
         let (_, is_larger) = SEVERITIES.into_iter().find(|(name, _)| name == parameter)?;
-        // The others are times, of which none is negative: a bucket ends there at the latest.
-        let (sign, severity, end) = match is_larger {
-            true => (1.0, *from, *to),
-            false => (-1.0, -to, -from.max(0.0)),
-        };
-        Some(Self { parameter: parameter.clone(), sign, severity, end })
+        let severity_of = |value| severity_of(value, is_larger);
+        let (severity, end) = if is_larger { (*from, *to) } else { (severity_of(*to), severity_of(*from)) };
+        Some(Self { parameter: parameter.clone(), is_larger, severity, end })
     }
 
     pub(super) fn severity_of(&self, value: f64) -> f64 {
-        self.sign * value
+        severity_of(value, self.is_larger)
+    }
+
+    /// The value of the parameter that has a severity.
+    pub(super) fn value_of(&self, severity: f64) -> f64 {
+        if self.is_larger { severity } else { (-severity).exp() }
     }
 
     /// The tail of recorded severities, each with its cluster: beyond the lowest threshold of those tried at which a
@@ -74,8 +79,11 @@ impl Level {
         if sorted.first().is_some_and(|(_, most)| *most > self.end) {
             return Err("more severe events than those of the bucket were recorded");
         }
-        if self.severity >= self.end {
+        if self.severity == f64::INFINITY {
             return Err("no time is below zero");
+        }
+        if sorted.first().is_some_and(|(_, most)| *most == f64::INFINITY) {
+            return Err("times of zero were recorded, which no tail reaches");
         }
         let mut is_tried = false;
         for share in SHARES {
@@ -113,11 +121,8 @@ impl Level {
         let Tail { threshold, fitted, clusters } = tail;
         let at = self.severity - threshold;
         let (share, of_share) = fitted.survival(at, fitted.dispersion(at, clusters));
-        let rest = fitted.survival(self.end - threshold, 1.0).0;
-        match self.end == 0.0 {
-            true if rest > LARGEST_IMPOSSIBLE * share => return Err("most of the fitted tail beyond is below zero"),
-            false if rest > LARGEST_REST * share => return Err("the tail goes on beyond the far end of the bucket"),
-            _ => {}
+        if fitted.survival(self.end - threshold, 1.0).0 > LARGEST_REST * share {
+            return Err("the tail goes on beyond the far end of the bucket");
         }
         let found = Estimate::new(beyond.rate, beyond.interval).times(Estimate::new(share, of_share));
         if n_beyond as f64 / beyond.rate * found.interval.high * TIMES_RECORDED < 1.0 {

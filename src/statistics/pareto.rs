@@ -139,41 +139,38 @@ impl Pareto {
     }
 }
 
-/// The crowding that 5 % of samples of so many exceedances and this shape fall below, linear between those simulated by
-/// `scripts/golden_rates.py`, by the logarithm of the number.
-fn critical_crowding(n: usize, shape: f64) -> f64 {
-    let between = |values: &[f64], at: f64| {
-        let at = at.clamp(0.0, (values.len() - 1) as f64);
-        let below = (at as usize).min(values.len() - 2);
-        values[below] + (values[below + 1] - values[below]) * (at - below as f64)
-    };
-    let of_shape = CRITICAL_CROWDING.map(|(_, values)| between(&values, (shape - SHAPES[0]) / STEP));
-    let ln_sizes = CRITICAL_CROWDING.map(|(n, _)| (n as f64).ln());
-    let below = (1..ln_sizes.len() - 1).take_while(|i| ln_sizes[*i] <= (n as f64).ln()).count();
-    let at = ((n as f64).ln() - ln_sizes[below]) / (ln_sizes[below + 1] - ln_sizes[below]);
-    between(&of_shape, below as f64 + at.clamp(0.0, 1.0))
-}
-
-/// Numbers of exceedances, with the critical values for shapes from -0.5 to 0.5 in steps of [`STEP`].
-const CRITICAL_CROWDING: [(usize, [f64; 5]); 4] = [
-    (30, [0.12, 0.12, 0.088, 0.072, 0.058]),
-    (100, [0.047, 0.047, 0.035, 0.026, 0.018]),
-    (300, [0.029, 0.021, 0.017, 0.012, 0.01]),
-    (1000, [0.018, 0.013, 0.0085, 0.0082, 0.0065]),
-];
-
-/// The value that the statistic exceeds in 10 % of samples of a distribution of this shape (simulated by
-/// `scripts/golden_rates.py`, as Choulakian and Stephens 2001 do).
+/// The value that the statistic of Anderson and Darling exceeds in 10 % of samples of a distribution of this shape
+/// (simulated by `scripts/golden_rates.py`, as Choulakian and Stephens 2001 do).
 fn critical_value(shape: f64) -> f64 {
-    let at = (shape - SHAPES[0]) / STEP;
-    let below = (at.floor().max(0.0) as usize).min(CRITICAL.len() - 2);
-    CRITICAL[below] + (CRITICAL[below + 1] - CRITICAL[below]) * (at - below as f64)
+    between(&CRITICAL, (shape - SHAPES[0]) / STEP)
 }
 
-/// Steps of shapes for which critical values are known.
+/// The crowding that 5 % of samples of so many exceedances of a distribution of this shape fall below, simulated so.
+fn critical_crowding(n: usize, shape: f64) -> f64 {
+    let of_shape = CRITICAL_CROWDING.map(|values| between(&values, (shape - SHAPES[0]) / STEP));
+    between(&of_shape, 2.0 * (n as f64 / LEAST_SIZE).log10())
+}
+
+/// Linear between values, whose ends go on.
+fn between(values: &[f64], at: f64) -> f64 {
+    let at = at.clamp(0.0, (values.len() - 1) as f64);
+    let below = (at as usize).min(values.len() - 2);
+    values[below] + (values[below + 1] - values[below]) * (at - below as f64)
+}
+
+/// Steps of shapes for which critical values are known, from the least shape on.
 const STEP: f64 = 0.25;
-/// Critical values for shapes from -0.5 on.
 const CRITICAL: [f64; 7] = [0.937, 0.858, 0.78, 0.741, 0.691, 0.65, 0.641];
+/// The first number of exceedances for which critical crowdings are known; the others follow by half orders of
+/// magnitude.
+const LEAST_SIZE: f64 = 30.0;
+/// For shapes up to 0.5, whose values heavier tails have, too.
+const CRITICAL_CROWDING: [[f64; 5]; 4] = [
+    [0.12, 0.12, 0.088, 0.072, 0.058],
+    [0.047, 0.047, 0.035, 0.026, 0.018],
+    [0.029, 0.021, 0.017, 0.012, 0.01],
+    [0.018, 0.013, 0.0085, 0.0082, 0.0065],
+];
 
 fn ln_survival(y: f64, shape: f64, scale: f64) -> f64 {
     match shape.abs() < 1e-9 {
@@ -279,15 +276,14 @@ mod tests {
         assert!((critical_value(-0.375) - 0.5 * (CRITICAL[0] + CRITICAL[1])).abs() < 1e-12);
         let simulated: Vec<[f64; 5]> =
             serde_json::from_value(crate::statistics::golden()["crowding_critical"].clone()).unwrap();
-        assert_eq!(CRITICAL_CROWDING.map(|(_, values)| values).to_vec(), simulated);
-        let [.., (_, of_300), (_, of_1000)] = CRITICAL_CROWDING;
-        for (n, shape, expected) in
-            [(5, -0.9, 0.12), (30, 0.0, 0.088), (300, 0.125, 0.5 * (of_300[2] + of_300[3])), (9999, 0.9, 0.0065)]
-        {
+        assert_eq!(CRITICAL_CROWDING.to_vec(), simulated);
+        let [.., of_300, of_949] = CRITICAL_CROWDING;
+        let middle = 0.25 * (of_300[2] + of_300[3] + of_949[2] + of_949[3]);
+        let cases = [(5, -0.9, CRITICAL_CROWDING[0][0]), (300, 0.0, of_300[2]), (9999, 0.9, of_949[4])];
+        for (n, shape, expected) in cases {
             assert!((critical_crowding(n, shape) - expected).abs() < 1e-12, "{n}, {shape}");
         }
-        let between = critical_crowding(548, 0.25);
-        assert!((between - 0.5 * (of_300[3] + of_1000[3])).abs() < 1e-5, "{between}");
+        assert!((critical_crowding(533, 0.125) / middle - 1.0).abs() < 1e-2);
     }
 
     #[test]
