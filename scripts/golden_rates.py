@@ -11,7 +11,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from scipy import optimize, stats
+from scipy import optimize, special, stats
 
 CLUSTERS = {
     "one recording": [(7, 2.5)],
@@ -107,7 +107,8 @@ def tail(name, shape, n, levels, rng):
     # Exceedances that follow each other are alike.
     y = np.concatenate([np.sort(y[: n // 2]), y[n // 2 :]])
     clustered = [[at, k, tail_dispersion(y, at, *found, np.arange(n) * k // n)] for at in levels for k in (4, 15)]
-    return {"name": name, "exceedances": list(y), "clustered": clustered, "fit": found, "anderson_darling": anderson_darling(y, *found), "survival": rows}
+    return {"name": name, "exceedances": list(y), "clustered": clustered, "fit": found, "anderson_darling": anderson_darling(y, *found),
+            "crowding": crowding(y, *found), "survival": rows}  # fmt: skip
 
 
 def critical(shape, n=200, n_samples=4000):
@@ -118,6 +119,26 @@ def critical(shape, n=200, n_samples=4000):
         y = stats.genpareto.rvs(shape, size=n, random_state=rng)
         values.append(anderson_darling(y, *quick_fit(y)))
     return round(float(np.quantile(values, 0.9)), 3)
+
+
+def crowding(y, shape, scale):
+    """The least probability, over k, that the k largest are together so close to the next one: sums of the distances of the order
+    statistics of exponential variables are gamma variables (Renyi 1953)."""
+    x = np.sort(-stats.genpareto.logsf(y, shape, scale=scale))[::-1]
+    k = np.arange(2, len(y) // 2 + 1)
+    return special.gammainc(k, np.cumsum(x)[k - 1] - k * x[k]).min()
+
+
+def crowding_critical(shape, n, n_samples=2000):
+    """The least probability that 5 % of samples fall below, each judged by its own fit."""
+    rng = np.random.default_rng([8, n, round(100 * shape + 1000)])
+    values = []
+    while len(values) < n_samples:
+        y = stats.genpareto.rvs(shape, size=n, random_state=rng)
+        found = quick_fit(y)
+        if -0.499 < found[0] < 0.999:
+            values.append(crowding(y, *found))
+    return float(f"{np.quantile(values, 0.05):.2g}")
 
 
 def quick_fit(y):
@@ -155,6 +176,7 @@ def main():
         tail("heavy", 0.3, 90, [2.0, 10.0, 50.0], rng),
     ]
     golden["critical"] = [critical(shape) for shape in np.arange(-0.5, 1.01, 0.25)]
+    golden["crowding_critical"] = [[crowding_critical(shape, n) for shape in (-0.5, -0.25, 0, 0.25, 0.5)] for n in (30, 95, 300, 949)]
     lines = [f"{json.dumps(name)}: {json.dumps(values)}" for name, values in golden.items()]
     output.write_text("{\n" + ",\n".join(lines) + "\n}\n")
 

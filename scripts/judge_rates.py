@@ -181,16 +181,22 @@ def tails(options):
         pieces = [piece for run in runs for piece in cut(run["events"], options.minutes)]
         print(f"{place}: {len(runs) / 6:.0f} h", file=sys.stderr)
         for behavior, parameter, sign in SEVERITIES:
-            found = [np.array([sign * event[3][parameter] for event in piece if event[0] == behavior and parameter in event[3]]) for piece in pieces]
+            # As src/rates/tail.rs has it: of times, the logarithm.
+            severity = (lambda value: -np.log(value) if value > 0 else np.inf) if sign < 0 else float
+            found = [np.array([severity(event[3][parameter]) for event in piece if event[0] == behavior and parameter in event[3]]) for piece in pieces]
             severities = np.sort(np.concatenate(found))[::-1]
             n_beyond = round(len(pieces) / n_drawn / 3)
             if len(severities) < 100 or n_beyond < 1:
                 continue
             level = (severities[n_beyond - 1] + severities[n_beyond]) / 2
-            draws = (rng.integers(0, len(pieces), n_drawn) for _ in range(options.draws))
+            if level == np.inf:
+                continue
+            # Without replacement: a piece that is drawn twice would have the same severities twice.
+            draws = (rng.choice(len(pieces), n_drawn, replace=False) for _ in range(options.draws))
             draws = (([found[i] for i in drawn], np.ones(n_drawn)) for drawn in draws)
             n = len(severities) * n_drawn / len(pieces)
-            print(row(f"{place}, {behavior} {parameter}", f"{sign * level:.2f}", n, draws, level, n_beyond / len(pieces)), flush=True)
+            value, beyond = np.exp(-level) if sign < 0 else level, (severities > level).sum()
+            print(row(f"{place}, {behavior} {parameter}", f"{value:.2f}", n, draws, level, beyond / len(pieces)), flush=True)
 
 
 def cut(events, minutes):
@@ -202,7 +208,11 @@ def cut(events, minutes):
 # Distributions of severities: the value that is exceeded with a probability.
 KNOWN = [("exponential", lambda p: -np.log(p)), ("generalized Pareto, shape -0.3", lambda p: (1 - p**0.3) / 0.3),
          ("generalized Pareto, shape 0.2", lambda p: (p**-0.2 - 1) / 0.2), ("half normal", lambda p: special.ndtri(1 - p / 2)),
-         ("lognormal", lambda p: np.exp(-0.6 * special.ndtri(p)))]  # fmt: skip
+         ("lognormal", lambda p: np.exp(-0.6 * special.ndtri(p))),
+         ("logarithm of gamma times, shape 2", lambda p: -np.log(special.gammaincinv(2, p))),
+         ("exponential, held at 4 to 4.1", lambda p: np.where(p < LIMITED, 4.1 - 0.1 * p / LIMITED, -np.log(p)))]  # fmt: skip
+# The share of events that reach a limit.
+LIMITED = np.exp(-4)
 
 
 def known(options):
@@ -220,7 +230,8 @@ def known(options):
             print(row(name, f"{phi}, {spread:.0%}", n, draws, severities[333], 1 / 90), flush=True)
 
 
-HEAD = "| {} | {} | in a draw | given | holds | median width, times | refused: few, no fit, rare, wide |\n|---|---|---:|---:|---:|---:|---|"
+WHYS = ("few", "no fit", "limit", "rare", "wide")
+HEAD = f"| {{}} | {{}} | in a draw | given | holds | median width, times | refused: {', '.join(WHYS)} |\n|---|---|---:|---:|---:|---:|---|"
 
 
 def row(name, detail, n, draws, level, truth):
@@ -229,7 +240,7 @@ def row(name, detail, n, draws, level, truth):
     given = np.array([each for each in found if not isinstance(each, str)]).reshape(-1, 2)
     holds = f"{100 * np.mean((given[:, 0] <= truth) & (truth <= given[:, 1])):.0f} %" if len(given) else ""
     width = f"{np.median(given[:, 1] / given[:, 0]):.0f}" if len(given) else ""
-    refused = ", ".join(f"{sum(each == why for each in found if isinstance(each, str))}" for why in ("few", "no fit", "rare", "wide"))
+    refused = ", ".join(f"{sum(each == why for each in found if isinstance(each, str))}" for why in WHYS)
     return f"| {name} | {detail} | {n:.0f} | {len(given)} of {len(found)} | {holds} | {width} | {refused} |"
 
 
@@ -239,6 +250,8 @@ def tail_interval(found, exposure, level):
 
     together, recording = np.concatenate(found), np.repeat(np.arange(len(found)), [len(each) for each in found])
     severities, is_tried = np.sort(together)[::-1], False
+    if len(severities) and severities[0] == np.inf:
+        return "limit"
     for share in (1.0, 0.7, 0.5, 0.4, 0.3, 0.25, 0.2, 0.15, 0.1):
         threshold = severities[min(int(share * len(severities)), len(severities) - 1)]
         is_beyond = together > threshold
@@ -250,6 +263,9 @@ def tail_interval(found, exposure, level):
         critical = np.interp(shape, np.arange(-0.5, 1.01, 0.25), CRITICAL)
         if not -0.499 < shape < 0.999 or golden_rates.anderson_darling(y, shape, scale) >= critical:
             continue
+        by_size = [np.interp(shape, np.arange(-0.5, 0.51, 0.25), values) for values in CROWDING.values()]
+        if golden_rates.crowding(y, shape, scale) < np.interp(np.log(len(y)), np.log(list(CROWDING)), by_size):
+            return "limit"
         at = level - threshold
         counts = np.bincount(recording[is_beyond], minlength=len(found))
         survival = stats.genpareto.sf(at, shape, scale=scale)
@@ -300,6 +316,8 @@ def least(_):
 
 # From tests/golden/rates.json.
 CRITICAL = [0.937, 0.858, 0.78, 0.741, 0.691, 0.65, 0.641]
+CROWDING = {30: [0.12, 0.12, 0.088, 0.072, 0.058], 95: [0.053, 0.044, 0.032, 0.021, 0.021],
+            300: [0.029, 0.021, 0.017, 0.012, 0.01], 949: [0.017, 0.013, 0.01, 0.0074, 0.0074]}  # fmt: skip
 
 
 def main():

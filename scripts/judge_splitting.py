@@ -4,10 +4,11 @@
     pip install numpy
     python scripts/judge_splitting.py --djinn target/release/djinn --out judged
 
-Loops begin with the scenes of the fixtures. Plain ones say how many reach each required deceleration, from which levels
+Loops begin with the scenes of the fixtures. Plain ones say how many reach each value of a severity, from which levels
 follow: one in `--copies` of the loops that reach a level reaches the next. Of the loops that are split at these, every
 second one gives the limits of EVENTS at which they have the shares of SHARES; the others estimate them. Plain estimates
-of a share p vary by p (1 - p) a loop, split ones as their loops do.
+of a share p vary by p (1 - p) a loop, split ones as their loops do. Where a share u of the events is in loops that never
+reach the first level, those alone vary by u p: no levels and copies beyond it take less than u times the evaluations.
 """
 
 import argparse
@@ -39,11 +40,17 @@ sweeps = [{{ name = "none", n_scenes = 1 }}]
 [rates]
 loops = {loops}
 horizon_s = 6.0
+severity = "{severity}"
 levels = {levels}
 copies = {copies}
 """
 STAGES = [word for stage in ("ingest", "mine", "train_denoiser", "train_distill", "rates") for word in ("--stage", stage)]
-GRID = np.geomspace(0.25, 16, 37).round(3).tolist()
+# Values of severities, the least severe first.
+GRIDS = {
+    "required_deceleration_mps2": np.geomspace(0.25, 16, 37).round(3).tolist(),
+    "time_to_collision_s": np.geomspace(8, 0.1, 37).round(3).tolist(),
+    "gap_m": np.geomspace(16, 0.1, 37).round(3).tolist(),
+}
 # Behaviors with a parameter, and whether larger ones are rarer.
 EVENTS = [("near_miss", "min_ttc_s", False), ("hard_brake", "max_deceleration_mps2", True)]
 SHARES = (1e-2, 3e-3, 1e-3, 3e-4, 1e-4)
@@ -53,11 +60,11 @@ FEWEST = 8
 
 def loops(options, name, **settings):
     """Drives loops, or finds those of an earlier run; returns the events of each, and the figures."""
-    folder = options.out / name
+    folder = options.out / f"{name}_{options.severity}"
     summary = folder / "out" / "run" / "main" / "modeled.json"
     if not summary.exists():
         folder.mkdir(parents=True, exist_ok=True)
-        (folder / "run.toml").write_text(CONFIG.format(root=ROOT, **settings))
+        (folder / "run.toml").write_text(CONFIG.format(root=ROOT, seed=1, severity=options.severity, **settings))
         subprocess.run([options.djinn, "run", "run.toml", "--output", "out", *STAGES], cwd=folder, check=True)
     return read(summary.with_name("modeled.bin")), json.loads(summary.read_text())
 
@@ -94,9 +101,9 @@ def read(path):
     return found
 
 
-def levels_of(figures, copies):
+def levels_of(grid, figures, copies):
     levels, share = [], 1.0
-    for level, reached in zip(GRID, figures["reached"]):
+    for level, reached in zip(grid, figures["reached"]):
         if reached <= share / copies and reached * figures["n_loops"] >= FEWEST:
             levels, share = [*levels, level], reached
     return levels
@@ -123,19 +130,23 @@ def main():
     parser.add_argument("--plain", type=int, default=3000, help="plain loops (default: 3000)")
     parser.add_argument("--split", type=int, default=500, help="loops that are split (default: 500)")
     parser.add_argument("--copies", type=int, default=3)
+    parser.add_argument("--severity", choices=GRIDS, default="required_deceleration_mps2")
     options = parser.parse_args()
-    plain, of_plain = loops(options, f"plain_{options.plain}", seed=1, loops=options.plain, levels=GRID, copies=1)
-    levels = levels_of(of_plain, options.copies)
-    split, of_split = loops(options, f"split_{options.split}_{options.copies}", seed=1, loops=options.split, levels=levels, copies=options.copies)
+    grid = GRIDS[options.severity]
+    plain, of_plain = loops(options, f"plain_{options.plain}", loops=options.plain, levels=grid, copies=1)
+    levels = levels_of(grid, of_plain, options.copies)
+    split, of_split = loops(options, f"split_{options.split}_{options.copies}", loops=options.split, levels=levels, copies=options.copies)
     cost = [figures["n_futures"] / figures["n_loops"] for figures in (of_plain, of_split)]
     print(f"levels {levels}, reached by {[f'{reached:.2g}' for reached in of_split['reached']]}")
     print(f"{len(plain)} plain loops of {cost[0]:.1f} futures, {len(split)} of {cost[1]:.1f} that are split\n")
-    print("| event | a loop, split | plain (found) | times fewer evaluations |\n|---|---:|---:|---:|")
+    print("| event | a loop, split | plain (found) | times fewer evaluations | below the first level |\n|---|---:|---:|---:|---:|")
     for name, is_of in events(split[::2]):
         sums, hits = (np.array([sum(e[2] for e in loop if is_of(*e[:2])) for loop in found]) for found in (split[1::2], plain))
         mean, error, p = sums.mean(), sums.std(ddof=1) / len(sums) ** 0.5, hits.mean()
+        found = [weight for loop in split for of, values, weight in loop if is_of(of, values)]
+        below = sum(weight for weight in found if weight == 1) / sum(found)
         gain = mean * (1 - mean) * cost[0] / (sums.var(ddof=1) * cost[1]) if sums.any() else np.nan
-        print(f"| {name} | {mean:.2g} ± {error:.1g} | {p:.2g} ({hits.sum():.0f}) | {gain:.1f} |")
+        print(f"| {name} | {mean:.2g} ± {error:.1g} | {p:.2g} ({hits.sum():.0f}) | {gain:.1f} | {below:.0%} |")
 
 
 if __name__ == "__main__":

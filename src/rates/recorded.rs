@@ -136,7 +136,7 @@ impl RecordedTraffic {
                 "from {} events with {} beyond {:.3}",
                 counts.n_events(),
                 level.parameter,
-                level.severity_of(tail.threshold)
+                level.value_of(tail.threshold)
             );
             Ok::<_, &str>((of(counts.per_hour())?, of(counts.per_1000_km())?, note))
         };

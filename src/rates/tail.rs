@@ -25,12 +25,17 @@ const LARGEST_REST: f64 = 0.1;
 /// No rate is given whose interval spans a larger factor.
 pub(super) const WIDEST: f64 = 100.0;
 
+/// How severe a value is. Times are by the logarithm, with which no tail goes on below zero. Where the density of times
+/// at zero is positive, it has an exponential tail; their own ends there as none of a regular shape does.
+fn severity_of(value: f64, is_larger: bool) -> f64 {
+    if is_larger { value } else { -value.max(0.0).ln() }
+}
+
 /// A bucket of the most severe events.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Level {
     pub(super) parameter: String,
-    /// 1 where larger values are more severe, else -1.
-    sign: f64,
+    is_larger: bool,
     /// The severity that events of the bucket pass.
     severity: f64,
     /// The severity at its far end.
@@ -52,16 +57,18 @@ impl Level {
     pub(super) fn of(within: &Within) -> Option<Self> {
         let (parameter, [from, to]) = within.0.first_key_value().filter(|_| within.0.len() == 1)?;
         let (_, is_larger) = SEVERITIES.into_iter().find(|(name, _)| name == parameter)?;
-        // The others are times, of which none is negative.
-        let (sign, severity, end) = match is_larger {
-            true => (1.0, *from, *to),
-            false => (-1.0, -to, if *from > 0.0 { -from } else { f64::INFINITY }),
-        };
-        Some(Self { parameter: parameter.clone(), sign, severity, end })
+        let severity_of = |value| severity_of(value, is_larger);
+        let (severity, end) = if is_larger { (*from, *to) } else { (severity_of(*to), severity_of(*from)) };
+        Some(Self { parameter: parameter.clone(), is_larger, severity, end })
     }
 
     pub(super) fn severity_of(&self, value: f64) -> f64 {
-        self.sign * value
+        severity_of(value, self.is_larger)
+    }
+
+    /// The value of the parameter that has a severity.
+    pub(super) fn value_of(&self, severity: f64) -> f64 {
+        if self.is_larger { severity } else { (-severity).exp() }
     }
 
     /// The tail of recorded severities, each with its cluster: beyond the lowest threshold of those tried at which a
@@ -71,6 +78,12 @@ impl Level {
         sorted.sort_by(|(_, a), (_, b)| b.total_cmp(a));
         if sorted.first().is_some_and(|(_, most)| *most > self.end) {
             return Err("more severe events than those of the bucket were recorded");
+        }
+        if self.severity == f64::INFINITY {
+            return Err("no time is below zero");
+        }
+        if sorted.first().is_some_and(|(_, most)| *most == f64::INFINITY) {
+            return Err("times of zero were recorded, which no tail reaches");
         }
         let mut is_tried = false;
         for share in SHARES {
@@ -85,7 +98,10 @@ impl Level {
             }
             is_tried = true;
             if let Some(fitted) = Pareto::fit(beyond).filter(Pareto::is_good) {
-                return Ok(Tail { threshold: *threshold, fitted, clusters });
+                return match fitted.is_crowded() {
+                    true => Err("the most severe events are about as severe as each other, as at a limit"),
+                    false => Ok(Tail { threshold: *threshold, fitted, clusters }),
+                };
             }
         }
         Err(match is_tried {

@@ -4,6 +4,7 @@
 //! distribution below (Pickands 1975; Coles 2001, section 4.2).
 
 use super::Interval;
+use super::gamma::distribution as gamma_distribution;
 use std::collections::BTreeMap;
 
 /// Shapes for which maximum likelihood is regular (Smith 1985), and above which nothing is fitted.
@@ -114,19 +115,62 @@ impl Pareto {
     pub fn is_good(&self) -> bool {
         self.anderson_darling() < critical_value(self.shape)
     }
+
+    /// The least probability, over `k` from 2 to half of the exceedances, that the `k` largest together come so close to
+    /// the next one. On the scale of the logarithm of the fitted survival, exceedances are exponential variables, and
+    /// the distances of their `k` largest from the next one sum up to a gamma variable of shape `k` (Rényi 1953).
+    pub fn crowding(&self) -> f64 {
+        let mut scaled: Vec<f64> = self.exceedances.iter().map(|y| -ln_survival(*y, self.shape, self.scale)).collect();
+        scaled.sort_by(|a, b| b.total_cmp(a));
+        let mut sum = scaled[0];
+        let mut least = 1.0_f64;
+        for k in 2..=scaled.len() / 2 {
+            sum += scaled[k - 1];
+            least = least.min(gamma_distribution(sum - k as f64 * scaled[k], k as f64));
+        }
+        least
+    }
+
+    /// Whether the largest exceedances crowd, as where they reach a limit: closer together than in 95 % of samples of
+    /// the fitted distribution. The fit of all exceedances hardly sees the few at a limit, but what is beyond them
+    /// hangs on it.
+    pub fn is_crowded(&self) -> bool {
+        self.crowding() < critical_crowding(self.exceedances.len(), self.shape)
+    }
 }
 
-/// The value that the statistic exceeds in 10 % of samples of a distribution of this shape (simulated by
-/// `scripts/golden_rates.py`, as Choulakian and Stephens 2001 do).
+/// The value that the statistic of Anderson and Darling exceeds in 10 % of samples of a distribution of this shape
+/// (simulated by `scripts/golden_rates.py`, as Choulakian and Stephens 2001 do).
 fn critical_value(shape: f64) -> f64 {
-    const STEP: f64 = 0.25;
-    let at = (shape - SHAPES[0]) / STEP;
-    let below = (at.floor().max(0.0) as usize).min(CRITICAL.len() - 2);
-    CRITICAL[below] + (CRITICAL[below + 1] - CRITICAL[below]) * (at - below as f64)
+    between(&CRITICAL, (shape - SHAPES[0]) / STEP)
 }
 
-/// Critical values for shapes from -0.5 in steps of 0.25.
+/// The crowding that 5 % of samples of so many exceedances of a distribution of this shape fall below, simulated so.
+fn critical_crowding(n: usize, shape: f64) -> f64 {
+    let of_shape = CRITICAL_CROWDING.map(|values| between(&values, (shape - SHAPES[0]) / STEP));
+    between(&of_shape, 2.0 * (n as f64 / LEAST_SIZE).log10())
+}
+
+/// Linear between values, whose ends go on.
+fn between(values: &[f64], at: f64) -> f64 {
+    let at = at.clamp(0.0, (values.len() - 1) as f64);
+    let below = (at as usize).min(values.len() - 2);
+    values[below] + (values[below + 1] - values[below]) * (at - below as f64)
+}
+
+/// Steps of shapes for which critical values are known, from the least shape on.
+const STEP: f64 = 0.25;
 const CRITICAL: [f64; 7] = [0.937, 0.858, 0.78, 0.741, 0.691, 0.65, 0.641];
+/// The first number of exceedances for which critical crowdings are known; the others follow by half orders of
+/// magnitude.
+const LEAST_SIZE: f64 = 30.0;
+/// For shapes up to 0.5, whose values heavier tails have, too.
+const CRITICAL_CROWDING: [[f64; 5]; 4] = [
+    [0.12, 0.12, 0.088, 0.072, 0.058],
+    [0.053, 0.044, 0.032, 0.021, 0.021],
+    [0.029, 0.021, 0.017, 0.012, 0.01],
+    [0.017, 0.013, 0.01, 0.0074, 0.0074],
+];
 
 fn ln_survival(y: f64, shape: f64, scale: f64) -> f64 {
     match shape.abs() < 1e-9 {
@@ -194,6 +238,7 @@ mod tests {
         /// Shape and scale.
         fit: [f64; 2],
         anderson_darling: f64,
+        crowding: f64,
         /// Where, the dispersion, survival, and the ends of its interval.
         survival: Vec<[f64; 5]>,
         /// Where, the number of clusters of exceedances that follow each other, and the dispersion.
@@ -209,6 +254,7 @@ mod tests {
             let close = |a: f64, b: f64| (a - b).abs() <= 2e-3 * b.abs() + 1e-9;
             assert!((fitted.shape - case.fit[0]).abs() < 1e-3 && close(fitted.scale, case.fit[1]), "{}", case.name);
             assert!(close(fitted.anderson_darling(), case.anderson_darling), "{}", case.name);
+            assert!(close(fitted.crowding(), case.crowding) && !fitted.is_crowded(), "{}", case.name);
             for [y, dispersion, survival, low, high] in case.survival {
                 let (found, interval) = fitted.survival(y, dispersion);
                 let all = close(found, survival) && close(interval.low, low) && close(interval.high, high);
@@ -228,5 +274,33 @@ mod tests {
         let simulated: Vec<f64> = serde_json::from_value(crate::statistics::golden()["critical"].clone()).unwrap();
         assert_eq!(CRITICAL.to_vec(), simulated);
         assert!((critical_value(-0.375) - 0.5 * (CRITICAL[0] + CRITICAL[1])).abs() < 1e-12);
+        let simulated: Vec<[f64; 5]> =
+            serde_json::from_value(crate::statistics::golden()["crowding_critical"].clone()).unwrap();
+        assert_eq!(CRITICAL_CROWDING.to_vec(), simulated);
+        let [.., of_300, of_949] = CRITICAL_CROWDING;
+        let middle = 0.25 * (of_300[2] + of_300[3] + of_949[2] + of_949[3]);
+        let cases = [(5, -0.9, CRITICAL_CROWDING[0][0]), (300, 0.0, of_300[2]), (9999, 0.9, of_949[4])];
+        for (n, shape, expected) in cases {
+            assert!((critical_crowding(n, shape) - expected).abs() < 1e-12, "{n}, {shape}");
+        }
+        assert!((critical_crowding(533, 0.125) / middle - 1.0).abs() < 1e-2);
+    }
+
+    #[test]
+    fn the_largest_crowd_at_a_limit_and_seldom_without_one() {
+        let mut rng = crate::seed::Seed(3).rng();
+        let mut n_crowded = |n: usize, limit: f64| {
+            let is_crowded = |_| {
+                let sample = (0..n).map(|_| (-(1.0 - rng.uniform()).ln()).min(limit)).collect();
+                Pareto::fit(sample).filter(Pareto::is_good).map(|fitted| fitted.is_crowded())
+            };
+            let found: Vec<bool> = (0..60).filter_map(is_crowded).collect();
+            [found.iter().filter(|is_crowded| **is_crowded).count(), found.len()]
+        };
+        // A twentieth of the values is at the limit.
+        let at_limit = n_crowded(100, 3.0);
+        assert!(at_limit[1] >= 20 && at_limit[0] * 10 >= 9 * at_limit[1], "{at_limit:?}");
+        let [n, of] = n_crowded(100, f64::INFINITY);
+        assert!(of >= 45 && n * 10 <= of, "{n} of {of}");
     }
 }

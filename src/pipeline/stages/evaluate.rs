@@ -52,7 +52,7 @@ impl Stage for Evaluate<'_> {
     }
 
     fn version(&self) -> u32 {
-        25
+        26
     }
 
     fn check(&self) -> Result<()> {

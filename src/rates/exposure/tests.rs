@@ -152,21 +152,24 @@ fn rates_are_per_hour_and_per_kilometer_and_those_of_buckets_of_their_events() {
 
 #[test]
 fn a_level_that_was_not_passed_is_extrapolated_or_not_with_the_reason() {
-    // Quantiles of an exponential distribution downward from 3 s, mixed over recordings: the least of 400 is 0.33 s.
-    let quantile = |n: usize| 3.0 + (1.0 - ((n * 167 % 400) as f64 + 0.5) / 400.0).ln() * 0.4;
+    // Of times up to 3 s, (t / 3)^4 are below t, mixed over recordings: the least of 400 is 0.56 s.
+    let quantile = |n: usize| 3.0 * (((n * 167 % 400) as f64 + 0.5) / 400.0).powf(0.25);
     let traffic = traffic(&[100; 4], quantile);
     let ask = |text: &str| {
         let within: Within = text.parse().unwrap();
         let rows = traffic.rates(&["near_miss"], &[("near_miss".to_owned(), within)]);
         rows.last().unwrap().clone()
     };
-    // exp(-(3 - 0.5) / 0.4) of 400 events in four hours; one of them was recorded.
+    // Of 400 events in four hours.
     let row = ask("pet_s -9..0.5");
-    let expected = 100.0 * (-2.5_f64 / 0.4).exp();
-    assert_eq!((row.method, row.n_events), (RateMethod::Extrapolated, 1), "{:?}", row.note);
+    let expected = 100.0 * (0.5_f64 / 3.0).powi(4);
+    assert_eq!((row.method, row.n_events), (RateMethod::Extrapolated, 0), "{:?}", row.note);
+    assert_eq!(row.note.as_deref(), Some("from 399 events with pet_s beyond 2.999"));
     assert!((row.rate_per_hour / expected).ln().abs() < 1.0, "{} of {expected}", row.rate_per_hour);
     assert!(row.per_hour.low < expected && expected < row.per_hour.high);
-    for (text, reason) in [("pet_s -9..-3", "less than once"), ("pet_s 0.1..0.3", "far end of the bucket")] {
+    let reasons =
+        [("pet_s -9..0", "no time"), ("pet_s -9..0.05", "less than once"), ("pet_s 0.2..0.3", "far end of the bucket")];
+    for (text, reason) in reasons {
         let row = ask(text);
         assert!(row.method == RateMethod::NoneFound && row.note.as_ref().unwrap().contains(reason), "{:?}", row.note);
     }

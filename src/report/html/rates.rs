@@ -50,7 +50,7 @@ fn claims(model: &ReportModel) -> Markup {
                 li {
                     b { "Extrapolated (hollow): " }
                     "rates of what was recorded twice or less, from less severe events. Take the interval for an order \
-                    of magnitude."
+                    of magnitude. A limit that hardly any event reaches, such as that of brakes, is not seen."
                 }
             }
             @if is_given(RateMethod::Modeled) {
