@@ -97,10 +97,10 @@ def features(scene, lanes):
     return np.array(found)
 
 
-def scores(x, label, groups, weight, seed):
+def scores(x, label, groups, weight, seed, n_trees=100):
     found = np.zeros(len(label))
     for train, test in GroupKFold(5, shuffle=True, random_state=seed).split(x, label, groups):
-        model = HistGradientBoostingClassifier(random_state=seed)
+        model = HistGradientBoostingClassifier(max_iter=n_trees, random_state=seed)
         found[test] = model.fit(x[train], label[train], weight[train]).decision_function(x[test])
     return found
 
@@ -128,7 +128,7 @@ def report(kind, recorded, made, seed):
         print(f"    {place}: {(of_scene[at] == 1).sum()} scenes; road users {users:.3f}, scenes {scenes:.3f}")
     alone = {}
     for name, columns in FEATURES.items():
-        one = scores(x[:, columns], label, groups, weight, seed)
+        one = scores(x[:, columns], label, groups, weight, seed, n_trees=30)
         alone[name] = roc_auc_score(label, one, sample_weight=weight)
     for name, users in sorted(alone.items(), key=lambda item: -item[1]):
         print(f"    {name} alone: road users {users:.3f}")
