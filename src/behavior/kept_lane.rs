@@ -152,6 +152,14 @@ impl KeptLane {
     }
 }
 
+/// The middle of the lane in which each of these agents drives from the present to the end of the scene, carried straight
+/// on beyond the map; `None` for who is in no lane.
+pub(crate) fn driven_middles(scene: &Scene, agents: &[usize]) -> Vec<(usize, Option<Path>)> {
+    let lanes = SceneLanes::new(&scene.lanes);
+    let middle = |agent_idx: &usize| KeptLane::of(scene, &lanes, *agent_idx).map(|lane| lane.center);
+    agents.iter().map(|agent_idx| (*agent_idx, middle(agent_idx))).collect()
+}
+
 fn positions(trajectory: &Trajectory, timesteps: std::ops::Range<usize>) -> Vec<Vec2> {
     let states = timesteps.filter_map(|timestep| trajectory.get(timestep));
     states.filter(|state| state.is_finite()).map(|state: &State| state.position).collect()

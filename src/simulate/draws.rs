@@ -2,7 +2,7 @@
 
 use super::Result;
 use super::drivers::{Log, expected};
-use super::reaction::{brake, ease, go_on, keep_to_lanes, walk_on};
+use super::reaction::{brake, ease, go_on, hold_places, keep_to_lanes, walk_on};
 use super::rollout::{Drive, OFF_ROAD_SLACK_M};
 use super::situation::Situation;
 use crate::generate::{Continued, Futures};
@@ -64,6 +64,9 @@ impl Drive<'_> {
                 go_on(situation, &self.world, &mut sampled, &agents);
                 walk_on(situation, &mut sampled, &agents);
                 keep_to_lanes(situation, &mut sampled, &agents, settling);
+                if situation.holds_places {
+                    hold_places(situation, &mut sampled, &agents);
+                }
                 ease(situation, &mut sampled, &agents);
                 brake(situation, &mut sampled, &agents);
                 sampled

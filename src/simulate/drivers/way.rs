@@ -7,9 +7,8 @@ use crate::simulate::Situation;
 use crate::simulate::driver::Failed;
 use crate::simulate::world::World;
 
-/// How fast the deceleration of an ego grows after the end of its plan, m/s³: about the largest jerk of passengers'
-/// comfort (8.37, nuPlan).
-const GENTLE_MPS3: f64 = 8.0;
+/// How fast the deceleration of an ego grows after the end of its plan, m/s³.
+const GENTLE_MPS3: f64 = 5.0;
 /// The last moment, over which braking is judged, seconds.
 const LAST_MOMENT_S: f64 = 0.3;
 

@@ -30,7 +30,11 @@ pub(super) fn windows(
         let is_there = |track: &Track| track.trajectory.is_valid(n_history - 1);
         let in_recording =
             |track: Track| Track { trajectory: track.trajectory.into_frame(&start.world_from_scene), ..track };
-        let seen = scene.tracks.into_iter().map(in_recording).map(|track| sight.seen(track, n_history - 1));
+        let seen = scene.tracks.into_iter().map(in_recording).map(|track| {
+            let track = sight.seen(track, n_history - 1);
+            let trajectory = track.trajectory.with_velocities_from_positions(n_history, start.dt_s);
+            Track { trajectory, ..track }
+        });
         let tracks = seen.filter(is_there);
         found.push(RawScene {
             id: start.id.clone(),

@@ -7,8 +7,8 @@ use crate::geometry::{angle_difference, wrap_angle};
 use crate::scene::{Scene, State};
 use crate::simulate::situation::Situation;
 
-/// How fast the acceleration falls, m/s³: about the largest jerk of passengers' comfort (8.37, nuPlan).
-const EASED_MPS3: f64 = 8.0;
+/// How fast the acceleration falls where nothing is in the way, m/s³.
+const EASED_MPS3: f64 = 3.0;
 /// Accelerations are of so many steps before and after the present.
 const N_STEPS: usize = 3;
 /// A turn goes on as it was, and comes to be that of the future within this time, seconds; the largest difference of

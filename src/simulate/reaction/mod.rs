@@ -7,12 +7,14 @@
 
 mod braking;
 mod easing;
+mod keeping;
 mod moving_off;
 mod straying;
 mod walking;
 
 pub(super) use braking::brake;
 pub(super) use easing::ease;
+pub(super) use keeping::hold_places;
 pub(super) use moving_off::go_on;
 pub(super) use straying::keep_to_lanes;
 pub(super) use walking::walk_on;

@@ -45,6 +45,8 @@ pub struct Situation {
     pub is_collision: bool,
     /// Whether the event is kept in aim where the ego drives otherwise.
     pub(in crate::simulate) aims: bool,
+    /// Whether vehicles hold their place in the lane, rather than drift with each plan.
+    pub(in crate::simulate) holds_places: bool,
     /// The way of the ego.
     pub way: Way,
     /// The arrivals: the last tracks of the scene, absent at present.
@@ -109,6 +111,7 @@ impl Situation {
             event: [present; 2],
             is_collision: false,
             aims: true,
+            holds_places: false,
             way,
             arrivals: Arrivals::default(),
             road: Arc::new(Road::new(&scene.lanes)),
