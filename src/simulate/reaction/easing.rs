@@ -117,7 +117,7 @@ mod tests {
         let all: Vec<Vec2> = past[..N_STEPS].iter().chain(&found).map(|state| state.position).collect();
         let mps: Vec<f64> = all.windows(2).map(|pair| pair[1].distance(pair[0]) / DT_S).collect();
         let mps2: Vec<f64> = mps.windows(2).map(|pair| (pair[1] - pair[0]) / DT_S).collect();
-        assert!(mps2.windows(2).all(|pair| (pair[1] - pair[0]).abs() < EASED_MPS3 * DT_S + 0.01), "{mps2:?}");
+        assert!(mps2.windows(2).all(|pair| (pair[1] - pair[0]).abs() < RELEASE_JERK_MPS3 * DT_S + 0.01), "{mps2:?}");
         assert!((mps2[0] + 6.0).abs() < 0.01 && mps2[20].abs() < 1e-9);
         // Half of a timestep's worth is nothing to ease, and who stands stays.
         assert_eq!(eased(&steady(-3.0 * DT_S * 10.0, 10.0)[..=N_STEPS], &steady(0.0, 10.0), DT_S), None);
