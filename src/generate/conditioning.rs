@@ -7,7 +7,7 @@ use crate::behavior::Template;
 use crate::diffusion::NoiseSource;
 use crate::geometry::Vec2;
 use crate::guidance::Target;
-use crate::scene::{AgentRef, ObservationMask, Roles, Scene, State, Trajectory, UnfitScene};
+use crate::scene::{AgentRef, ObservationMask, Scene, State, Trajectory, UnfitScene};
 use crate::seed::Seed;
 use crate::tensor::{FeatureLayout, SceneBatch, SceneTensors, SceneView};
 use candle_core::Tensor;

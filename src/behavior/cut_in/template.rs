@@ -7,11 +7,12 @@ use crate::behavior::Outcome;
 use crate::behavior::following::opens_mps;
 use crate::behavior::lane_relation::SceneLanes;
 use crate::behavior::limits::REACTIONS_S;
-use crate::behavior::maneuver::{has_room, spread};
+use crate::behavior::maneuver::{Others, going_on, has_room, spread};
 use crate::behavior::sideways::{CHANGE_PEAK, Sideways, changed_s};
 use crate::behavior::template::{InTheWay, MOST_ANGLE_RAD, Template, distinct};
 use crate::geometry::{Vec2, angle_difference};
 use crate::scene::Scene;
+use std::cell::OnceCell;
 use std::collections::BTreeMap;
 
 /// The search for the time at which the box enters the path: spacing of times in seconds, and how often the start is
@@ -47,6 +48,8 @@ pub(super) struct Search<'a> {
     pair: Pair,
     /// The ego and those behind it, who need no room: they slow down with it.
     behind: Vec<usize>,
+    /// Everybody, going on; known once a way needs room.
+    all: OnceCell<Others>,
 }
 
 impl<'a> Search<'a> {
@@ -60,7 +63,8 @@ impl<'a> Search<'a> {
             place.is_some_and(|place| place.station_m <= pair.own_station_m)
         };
         let behind = (0..scene.tracks.len()).filter(|idx| *idx == ego_idx || is_behind(idx)).collect();
-        Some(Self { cut_in, scene, lanes: SceneLanes::new(&scene.lanes), ego_idx, other_idx, pair, behind })
+        let (lanes, all) = (SceneLanes::new(&scene.lanes), OnceCell::new());
+        Some(Self { cut_in, scene, lanes, ego_idx, other_idx, pair, behind, all })
     }
 
     /// The outcomes of a cut-in for which a maneuver can be solved. The other moves over as fast as drivers do
@@ -110,6 +114,10 @@ impl<'a> Search<'a> {
         Some(found.take(n).collect())
     }
 
+    fn all(&self) -> &Others {
+        self.all.get_or_init(|| going_on(self.scene, &self.lanes))
+    }
+
     /// The way to follow a plan with nobody in the way.
     fn way(&self, plan: &CutInPlan, style: Style) -> Option<Template> {
         let Self { scene, ref pair, ego_idx, other_idx, .. } = *self;
@@ -125,7 +133,7 @@ impl<'a> Search<'a> {
             && template.keeps_road(scene, &self.lanes)
             && template.keeps_apart(scene)
             && template.is_clear(scene, InTheWay::Ahead)
-            && has_room(scene, other_idx, (-pair.side, over.midway_s(), &positions), &self.behind);
+            && has_room(scene, other_idx, (-pair.side, over.midway_s(), &positions), self.all(), &self.behind);
         is_possible.then_some(template)
     }
 }

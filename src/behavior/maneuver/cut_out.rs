@@ -1,7 +1,7 @@
 //! Cutting out: the leader moves over to the lane beside, and the ego brakes for the vehicle that this reveals.
 
 use super::driver::Travel;
-use super::moving_over::{is_clear_of, ways_over};
+use super::moving_over::{going_on, is_clear_of, ways_over};
 use super::{Driver, Maneuver, Pace};
 use crate::behavior::cut_out::CutOut;
 use crate::behavior::following::{Ahead, Follower};
@@ -33,10 +33,11 @@ impl CutOut {
         let [leader, next] = self.queue(&follower, scene.current_timestep())?;
         let are_asked = [leader.agent_idx, next.agent_idx] == [leader_idx, revealed_idx];
         let mut ways = if are_asked { ways_over(scene, &lanes, leader_idx, 1.0) } else { Vec::new() };
+        let all = going_on(scene, &lanes);
         let horizon_s = (scene.n_timesteps - scene.n_history) as f64 * scene.dt_s;
         ways.retain(|way| {
             way.midway_s + REACTIONS_S[1] + SHOWN_S < horizon_s
-                && way.has_room(scene, leader_idx, &[ego_idx, revealed_idx])
+                && way.has_room(scene, leader_idx, &all, &[ego_idx, revealed_idx])
         });
         let (ego, revealed) = (Driver::new(scene, &lanes, ego_idx)?, Driver::new(scene, &lanes, revealed_idx)?);
         let rails = (0..ego.rails.len()).flat_map(|own| (0..revealed.rails.len()).map(move |theirs| (own, theirs)));

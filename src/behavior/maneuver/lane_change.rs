@@ -1,7 +1,7 @@
 //! Changing lanes: moving over to the lane beside.
 
 use super::Maneuver;
-use super::moving_over::{MovingOver, ways_over};
+use super::moving_over::{MovingOver, going_on, ways_over};
 use crate::behavior::lane_change::LaneChange;
 use crate::behavior::lane_relation::SceneLanes;
 use crate::behavior::template::InTheWay;
@@ -13,8 +13,9 @@ impl LaneChange {
         if !scene.tracks[agent_idx].class.is_motorized() {
             return Vec::new();
         }
-        let ways = ways_over(scene, &SceneLanes::new(&scene.lanes), agent_idx, self.hurry).into_iter();
-        let ways: Vec<MovingOver> = ways.filter(|way| way.has_room(scene, agent_idx, &[])).collect();
+        let lanes = SceneLanes::new(&scene.lanes);
+        let (ways, all) = (ways_over(scene, &lanes, agent_idx, self.hurry), going_on(scene, &lanes));
+        let ways: Vec<MovingOver> = ways.into_iter().filter(|way| way.has_room(scene, agent_idx, &all, &[])).collect();
         // Nobody slows down for a gap that is there anyway.
         let free_sides: Vec<f64> = ways.iter().filter(|way| !way.slows).map(|way| way.side).collect();
         let ways = ways.into_iter().filter(|way| !(way.slows && free_sides.contains(&way.side)));

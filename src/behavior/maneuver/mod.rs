@@ -25,7 +25,7 @@ mod wrong_way;
 
 pub(crate) use driver::RELEASE_JERK_MPS3;
 pub(super) use driver::{Driver, ORDINARY_MPS2, Pace, SLOWER_MPS, STANDS_MPS, building_up_s};
-pub(super) use moving_over::has_room;
+pub(super) use moving_over::{going_on, has_room};
 pub(super) use reason::{Others, Slowing, slowing};
 pub(super) use turn::maneuvers as turn_maneuvers;
 

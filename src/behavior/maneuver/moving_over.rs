@@ -1,5 +1,6 @@
 //! Moving over to the lane beside, as in lane changes and cut-outs, or to the oncoming one.
 
+use super::reason::Others;
 use super::{Driver, Pace};
 use crate::behavior::kept_lane::KeptLane;
 use crate::behavior::lane_relation::SceneLanes;
@@ -33,6 +34,8 @@ const ALONG_MPS2: [f64; 3] = [0.0, 0.8, -0.6];
 const ALONG_S: f64 = 2.5;
 /// An agent that moves to the other side at present faster than this does not move over, m/s.
 const AWAY_MPS: f64 = 0.3;
+/// Who moves aside faster than this leaves its lane, m/s.
+const LEAVES_MPS: f64 = 0.5;
 
 /// One way to move over.
 pub(super) struct MovingOver {
@@ -73,38 +76,59 @@ pub(super) fn ways_over_to_oncoming(scene: &Scene, lanes: &SceneLanes<'_>, agent
 }
 
 impl MovingOver {
-    /// Whether an agent that moves over has room beside all agents but `others`: see [`has_room`].
-    pub(super) fn has_room(&self, scene: &Scene, agent_idx: usize, others: &[usize]) -> bool {
-        has_room(scene, agent_idx, (self.side, self.midway_s, &self.positions), others)
+    /// Whether an agent that moves over has room beside `all` agents but some: see [`has_room`].
+    pub(super) fn has_room(&self, scene: &Scene, agent_idx: usize, all: &Others, but: &[usize]) -> bool {
+        has_room(scene, agent_idx, (self.side, self.midway_s, &self.positions), all, but)
     }
 }
 
+/// All agents as they go on from the present at their speeds: along the lanes in which they drive, or straight on where
+/// they are in none, or leave it.
+pub(in crate::behavior) fn going_on(scene: &Scene, lanes: &SceneLanes<'_>) -> Others {
+    let n_steps = scene.n_timesteps - scene.current_timestep();
+    let goes_on = |idx: usize| {
+        let now = scene.state(idx, scene.current_timestep()).filter(|state| state.is_finite())?;
+        let lane = KeptLane::as_observed(scene, lanes, idx);
+        let lane = lane.and_then(|lane| Some((lane.project(now.position)?, lane)));
+        let lane = lane.filter(|(place, _)| Vec2::from_angle(place.heading_rad).cross(now.velocity).abs() < LEAVES_MPS);
+        let position = |step: usize| {
+            let elapsed_s = step as f64 * scene.dt_s;
+            let on_lane = lane.as_ref().and_then(|(place, lane)| {
+                let mps = now.velocity.dot(Vec2::from_angle(place.heading_rad));
+                lane.beside(place.station_m + mps * elapsed_s, place.offset_m)
+            });
+            on_lane.unwrap_or(now.position + now.velocity * elapsed_s)
+        };
+        Some((idx, (0..n_steps).map(position).collect()))
+    };
+    (0..scene.tracks.len()).filter_map(goes_on).collect()
+}
+
 /// Whether an agent that moves over to this side (1 for the left, -1 for the right), is midway between two lanes after
-/// this many seconds, and at these positions at present and at each timestep after it, has room beside all agents but
-/// `others`, if they keep their speeds: none closer than [`CLEARANCE_M`]; in its new lane, nobody alongside for the last
+/// this many seconds, and at these positions at present and at each timestep after it, has room beside `all` agents but
+/// some, which are [`going_on`]: none closer than [`CLEARANCE_M`]; in its new lane, nobody alongside for the last
 /// [`LOOKS_BESIDE_S`] before that, and a headway of [`ROOM_S`] to the agents ahead and behind, beyond the distance in
 /// which the faster one slows down to the other, from [`OVER_LINE_S`] before that on.
 pub(in crate::behavior) fn has_room(
     scene: &Scene,
     agent_idx: usize,
     (side, midway_s, positions): (f64, f64, &[Vec2]),
-    others: &[usize],
+    all: &Others,
+    but: &[usize],
 ) -> bool {
     let own = scene.tracks[agent_idx].extent_or_nominal();
-    let in_lane = (0..scene.tracks.len()).filter(|idx| *idx != agent_idx && !others.contains(idx));
-    in_lane.into_iter().all(|idx| {
-        let now = scene.state(idx, scene.current_timestep()).filter(|state| state.is_finite());
-        let Some(now) = now else { return true };
-        let their = scene.tracks[idx].extent_or_nominal();
-        let goes_on = |step: usize| now.position + now.velocity * (step as f64 * scene.dt_s);
-        let keeps_distance = (positions.windows(2).enumerate()).all(|(step, pair)| {
+    let mut others = all.iter().filter(|(idx, _)| *idx != agent_idx && !but.contains(idx));
+    others.all(|(idx, theirs)| {
+        let their = scene.tracks[*idx].extent_or_nominal();
+        let both = positions.windows(2).zip(theirs.windows(2));
+        let keeps_distance = both.enumerate().all(|(step, (pair, their_pair))| {
             let moved = pair[1] - pair[0];
             let forward = moved * moved.norm().max(f64::MIN_POSITIVE).recip();
-            let offset = goes_on(step + 1) - pair[1];
+            let offset = their_pair[1] - pair[1];
             let (along_m, aside_m) = (offset.dot(forward), side * forward.cross(offset));
             let gap_m = along_m.abs() - (own.length_m + their.length_m) / 2.0;
             let half_widths_m = (own.width_m + their.width_m) / 2.0;
-            let speeds_mps = [moved.norm() / scene.dt_s, now.velocity.dot(forward)];
+            let speeds_mps = [moved.norm() / scene.dt_s, (their_pair[1] - their_pair[0]).dot(forward) / scene.dt_s];
             let [ahead_mps, behind_mps] = if along_m > 0.0 { [speeds_mps[1], speeds_mps[0]] } else { speeds_mps };
             let slows_m = (behind_mps - ahead_mps).max(0.0).powi(2) / (2.0 * ORDINARY_BRAKING_MPS2);
             let until_s = midway_s - step as f64 * scene.dt_s;
@@ -115,8 +139,7 @@ pub(in crate::behavior) fn has_room(
                     || aside_m.abs() > half_widths_m
                     || gap_m > ROOM_S * behind_mps.max(0.0) + slows_m)
         });
-        let theirs: Vec<Vec2> = (0..positions.len()).map(goes_on).collect();
-        keeps_distance && is_clear_of(scene, [agent_idx, idx], [positions, &theirs])
+        keeps_distance && is_clear_of(scene, [agent_idx, *idx], [positions, theirs])
     })
 }
 
@@ -199,6 +222,10 @@ mod tests {
                 })
                 .collect(),
         };
+        let has_room = |scene: &Scene, but: &[usize]| {
+            let all = going_on(&scene.lasting(scene.n_history + 30), &SceneLanes::new(&scene.lanes));
+            way(scene).has_room(scene, 0, &all, but)
+        };
         let length_m = |scene: &Scene| scene.tracks[0].extent_or_nominal().length_m;
         for (gap_m, expected) in [(4.0, false), (9.0, true)] {
             for side in [1.0, -1.0] {
@@ -206,19 +233,19 @@ mod tests {
                     |y: f64, x: f64| scene(&[Drive::straight(0.0, 0.0, 0.0, 10.0), Drive::straight(x, y, 0.0, 10.0)]);
                 let away_m = side * (gap_m + length_m(&at(3.5, 50.0)));
                 let beside = at(3.5, away_m);
-                assert_eq!(way(&beside).has_room(&beside, 0, &[]), expected, "{gap_m} m, {side}");
-                assert!(way(&beside).has_room(&beside, 0, &[1]), "whose gap is meant to be small");
+                assert_eq!(has_room(&beside, &[]), expected, "{gap_m} m, {side}");
+                assert!(has_room(&beside, &[1]), "whose gap is meant to be small");
                 let away = at(-3.5, away_m);
-                assert!(way(&away).has_room(&away, 0, &[]), "two lanes away");
+                assert!(has_room(&away, &[]), "two lanes away");
             }
         }
         // Slower by 5 m/s, and 7.5 m ahead when the way is over.
         let slow = scene(&[Drive::straight(0.0, 0.0, 0.0, 10.0), Drive::straight(22.0, 3.5, 0.0, 5.0)]);
-        assert!(!way(&slow).has_room(&slow, 0, &[]));
+        assert!(!has_room(&slow, &[]));
         // Alongside a second before being midway, and past by 2 m when the corner comes over the line.
         let passes = scene(&[Drive::straight(0.0, 0.0, 0.0, 10.0), Drive::straight(-5.0, 3.5, 0.0, 30.0)]);
-        assert!(!way(&passes).has_room(&passes, 0, &[]));
-        assert!(way(&passes).has_room(&passes, 0, &[1]));
+        assert!(!has_room(&passes, &[]));
+        assert!(has_room(&passes, &[1]));
         // Two bodies beside each other, half a meter apart.
         let width_m = slow.tracks[0].extent_or_nominal().width_m;
         let both = [0.0, width_m + 0.5].map(|y| (0..5).map(|x| Vec2::new(f64::from(x), y)).collect::<Vec<_>>());
