@@ -116,9 +116,9 @@ impl Pareto {
         self.anderson_darling() < critical_value(self.shape)
     }
 
-    /// The least probability, over `k` from 2 to half of the exceedances, that the `k` largest together come so close to
-    /// the next one. On the scale of the logarithm of the fitted survival, exceedances are exponential variables, and
-    /// the distances of their `k` largest from the next one sum up to a gamma variable of shape `k` (Rényi 1953).
+    /// The least probability, over `k` from 2 to half of the exceedances, that the `k` largest together come so close
+    /// to the next one. On the scale of the logarithm of the fitted survival, exceedances are exponential variables,
+    /// and the distances of their `k` largest from the next one sum up to a gamma variable of shape `k` (Rényi 1953).
     pub fn crowding(&self) -> f64 {
         let mut scaled: Vec<f64> = self.exceedances.iter().map(|y| -ln_survival(*y, self.shape, self.scale)).collect();
         scaled.sort_by(|a, b| b.total_cmp(a));
