@@ -152,8 +152,8 @@ impl KeptLane {
     }
 }
 
-/// The middle of the lane in which each of these agents drives from the present to the end of the scene, carried straight
-/// on beyond the map; `None` for who is in no lane.
+/// The middle of the lane in which each of these agents drives from the present to the end of the scene, carried
+/// straight on beyond the map; `None` for who is in no lane.
 pub(crate) fn driven_middles(scene: &Scene, agents: &[usize]) -> Vec<(usize, Option<Path>)> {
     let lanes = SceneLanes::new(&scene.lanes);
     let middle = |agent_idx: &usize| KeptLane::of(scene, &lanes, *agent_idx).map(|lane| lane.center);

@@ -5,8 +5,8 @@
 //! everything in the loop is valid.
 //!
 //! Windows shall pass for recorded scenes, which `scripts/check_situations.py` judges. So vehicles hold their place in
-//! the lane, and a window shows what a recorder of the place would: as far as its recordings see, and as exactly as they
-//! hold positions. Still, boosted trees tell nearly all windows, if not each road user: the model brakes less than
+//! the lane, and a window shows what a recorder of the place would: as far as its recordings see, and as exactly as
+//! they hold positions. Still, boosted trees tell nearly all windows, if not each road user: the model brakes less than
 //! drivers whom it does not know, moves over more slowly, and keeps its place in bends less exactly.
 
 mod populate;
