@@ -205,6 +205,7 @@ fn over_to(scene: &Scene, driver: &Driver, target: &KeptLane, side: f64, manner:
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::behavior::testing;
     use crate::scene::testing::{Drive, scene};
 
     #[test]
@@ -252,5 +253,16 @@ mod tests {
         assert!(!is_clear_of(&slow, [0, 1], [&both[0], &both[1]]));
         let apart: Vec<Vec2> = both[1].iter().map(|at| *at + Vec2::new(0.0, 0.2)).collect();
         assert!(is_clear_of(&slow, [0, 1], [&both[0], &apart]));
+    }
+
+    #[test]
+    fn others_go_on_along_their_lanes() {
+        // From 8 m before an arc of 6 m to the right: after 3 s, 7 m along it.
+        let up = Drive::straight(0.0, -14.0, std::f64::consts::FRAC_PI_2, 5.0);
+        let scene = testing::going_on(&[up], testing::merging_side_road());
+        let all = going_on(&scene.lasting(scene.n_history + 30), &SceneLanes::new(&scene.lanes));
+        let (turned_rad, at) = (7.0_f64 / 6.0, all[0].1[30]);
+        let expected = Vec2::new(6.0 - 6.0 * turned_rad.cos(), 6.0 * turned_rad.sin() - 6.0);
+        assert!(at.distance(expected) < 0.1, "{at:?}, expected {expected:?}");
     }
 }
