@@ -53,8 +53,10 @@ pub enum Rejection {
     Unfit(String),
 }
 
-/// How many more templates are tried for a sample whose template repeats another, or misses.
+/// How many more templates are tried for a sample whose template repeats another, and for one of a request, which may
+/// miss what is asked as well.
 const N_FURTHER: usize = 2;
+const N_FURTHER_IF_ASKED: usize = 8;
 
 /// A sample of a cell, or why there is none.
 #[derive(Debug, Clone)]
@@ -174,7 +176,8 @@ impl Generator<'_> {
         let of_cells = shard.cells.iter().zip(scenes).map(|(cell, scene)| {
             let agents = agents(cell, scene)?;
             let own = shard.first_sample..shard.first_sample + n_own;
-            let mut before = Before { templates: Templates::new(own.end + N_FURTHER), ..Before::default() };
+            let templates = Templates::new(own.end + n_further(sweep, cell));
+            let mut before = Before { templates, ..Before::default() };
             own.map(|sample_idx| self.condition_anew(sweep, (cell, scene), agents, sample_idx, &mut before)).collect()
         });
         Ok(Given { of_cells: of_cells.collect::<Result<_, Error>>()?, first_sample: shard.first_sample })
@@ -207,7 +210,7 @@ impl Generator<'_> {
                 paths.extend(path);
                 return Ok(given);
             }
-            if variant.further == N_FURTHER {
+            if variant.further == n_further(sweep, cell) {
                 return Ok(given);
             }
             variant.further += 1;
@@ -218,9 +221,7 @@ impl Generator<'_> {
     /// agents follow it. Sweeps take whatever event their templates bring.
     fn misses(&self, sweep: &ResolvedSweep, cell: &Cell, sample_idx: usize, template: &Scene) -> bool {
         let target = cell.target(sample_idx);
-        let Some(behavior) = self.behavior(sweep).filter(|_| sweep.aim == Aim::Anything && !target.is_empty()) else {
-            return false;
-        };
+        let Some(behavior) = self.behavior(sweep).filter(|_| is_asked(sweep, cell)) else { return false };
         let (is_found, events) = requested_events(behavior, &cell.roles, template);
         let reaches = |event: &BehaviorEvent| {
             target.iter().all(|(name, [least, most])| {
@@ -253,6 +254,15 @@ impl Generator<'_> {
         }
         batches
     }
+}
+
+/// Whether a request asks for the event of a cell; the events at which sweeps aim are their own choice.
+fn is_asked(sweep: &ResolvedSweep, cell: &Cell) -> bool {
+    sweep.aim == Aim::Anything && !cell.targets.is_empty()
+}
+
+fn n_further(sweep: &ResolvedSweep, cell: &Cell) -> usize {
+    if is_asked(sweep, cell) { N_FURTHER_IF_ASKED } else { N_FURTHER }
 }
 
 /// The requested agents of a cell, as tracks of its scene; the scene's ego agent twice if there are none. The first is
