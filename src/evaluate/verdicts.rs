@@ -91,7 +91,6 @@ impl<'a> Verdicts<'a> {
     pub(super) fn count_rejected(&mut self, rejected: &RejectedSample) {
         let reason = match rejected.reason {
             Rejection::RepeatedTemplate => NEAR_DUPLICATE,
-            Rejection::MissedTarget => RequestOutcome::Outside.name(),
             Rejection::Unfit(_) => NOT_FINITE,
         };
         self.count(("generate", &rejected.sweep, rejected.level), reason, true);

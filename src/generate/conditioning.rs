@@ -2,12 +2,13 @@
 //! recording it starts from.
 
 use super::observe::{Subject, rule_mask};
-use super::{Cell, ClassifierFreeConfig, EditConfig, Error, Generator, Rejection, ResolvedSweep};
+use super::{Cell, ClassifierFreeConfig, EditConfig, Error, Generator, ResolvedSweep};
 use crate::behavior::Template;
 use crate::diffusion::NoiseSource;
 use crate::geometry::Vec2;
 use crate::guidance::Target;
-use crate::scene::{AgentRef, ObservationMask, Scene, State, Trajectory, UnfitScene};
+use crate::metrics::PairPath;
+use crate::scene::{AgentRef, ObservationMask, Roles, Scene, State, Trajectory, UnfitScene};
 use crate::seed::Seed;
 use crate::tensor::{FeatureLayout, SceneBatch, SceneTensors, SceneView};
 use candle_core::Tensor;
@@ -23,14 +24,14 @@ pub(super) struct Conditioned {
     pub(super) agents: (usize, usize),
     /// The agents that follow a template, each with its states after the end of the scene.
     performers: Vec<(usize, Vec<State>)>,
-    /// Why it is not sampled, if it is not.
-    pub(super) skipped: Option<Rejection>,
+    /// Whether its template resembles that of an earlier sample of the shard.
+    pub(super) repeats: bool,
 }
 
 impl Conditioned {
     /// A scene with its observed part, without requested agents and templates.
     pub(super) const fn new(scene: Scene, mask: ObservationMask, center_idx: usize) -> Self {
-        Self { scene, mask, agents: (center_idx, center_idx), performers: Vec::new(), skipped: None }
+        Self { scene, mask, agents: (center_idx, center_idx), performers: Vec::new(), repeats: false }
     }
 
     pub(super) const fn view(&self) -> SceneView<'_> {
@@ -52,16 +53,9 @@ impl Conditioned {
         scene
     }
 
-    /// Its template alone: nobody else goes on after the present. `None` without one.
-    pub(super) fn template(&self) -> Option<Scene> {
-        let mut scene = (!self.performers.is_empty()).then(|| self.scene.clone())?;
-        let performs = |idx: usize| self.performers.iter().any(|(performer, _)| *performer == idx);
-        let n_known = scene.n_history;
-        for (_, track) in scene.tracks.iter_mut().enumerate().filter(|(idx, _)| !performs(*idx)) {
-            let known = track.trajectory.entries().iter().take(n_known).copied();
-            track.trajectory = Trajectory::new(known.chain(std::iter::repeat(None)).take(scene.n_timesteps).collect());
-        }
-        Some(self.with_maneuver(scene))
+    /// How the requested agents move in its template; `None` without one.
+    pub(super) fn path(&self, asked: &Roles) -> Option<PairPath> {
+        (!self.performers.is_empty()).then(|| PairPath::of(&self.with_maneuver(self.scene.clone()), asked)).flatten()
     }
 
     /// The observed states of a scenario that continues this scene. States of a template count as generated, although
@@ -160,7 +154,7 @@ impl Generator<'_> {
                 && scene.state(agent_idx, timestep).is_some();
             is_of_template || mask.is_observed(agent_idx, timestep)
         });
-        Ok(Conditioned { scene, mask, agents, performers, skipped: None })
+        Ok(Conditioned { scene, mask, agents, performers, repeats: false })
     }
 
     /// Puts the template of a sample into `scene`: one that reaches the sample's target, or else any. Returns the

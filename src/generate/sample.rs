@@ -2,8 +2,7 @@
 
 use super::batch::{Batch, Draw};
 use super::conditioning::{Conditioned, Templates, Variant};
-use super::{Aim, Cell, Error, Generator, ResolvedSweep, ShardPlan, requested_events};
-use crate::behavior::BehaviorEvent;
+use super::{Cell, Error, Generator, ResolvedSweep, ShardPlan, requested_events};
 use crate::metrics::PairPath;
 use crate::nn::in_pool;
 use crate::progress::Progress;
@@ -45,18 +44,13 @@ pub enum Rejection {
     /// It was not drawn: its requested agents would move as in an earlier sample of the shard.
     #[serde(rename = "its template repeats that of an earlier sample")]
     RepeatedTemplate,
-    /// It was not drawn: its template shows another event than the request asks of it.
-    #[serde(rename = "its template misses what it aims at")]
-    MissedTarget,
     /// What is wrong with it.
     #[serde(untagged)]
     Unfit(String),
 }
 
-/// How many more templates are tried for a sample whose template repeats another, and for one of a request, which may
-/// miss what is asked as well.
+/// How many more templates are tried for a sample whose template repeats another.
 const N_FURTHER: usize = 2;
-const N_FURTHER_IF_ASKED: usize = 8;
 
 /// A sample of a cell, or why there is none.
 #[derive(Debug, Clone)]
@@ -79,8 +73,8 @@ impl Given {
         &own[(sample_idx - self.first_sample).min(own.len() - 1)]
     }
 
-    fn skipped(&self, cell: usize, sample_idx: usize) -> Option<&Rejection> {
-        self.of(cell, sample_idx).skipped.as_ref()
+    fn repeats(&self, cell: usize, sample_idx: usize) -> bool {
+        self.of(cell, sample_idx).repeats
     }
 }
 
@@ -138,11 +132,11 @@ impl Generator<'_> {
             }
             for (at, own) in sampled.iter_mut().enumerate() {
                 let all = shard.first_sample..shard.first_sample + sweep.n_samples;
-                own.extend(all.filter_map(|sample_idx| {
-                    let draw = Err(given.skipped(at, sample_idx)?.clone());
+                let repeated = all.filter(|sample_idx| given.repeats(at, *sample_idx)).map(|sample_idx| {
                     progress.advance(1);
-                    Some(Sampled { level, sample_idx, draw })
-                }));
+                    Sampled { level, sample_idx, draw: Err(Rejection::RepeatedTemplate) }
+                });
+                own.extend(repeated);
             }
         }
         let mut output = ShardOutput::default();
@@ -176,15 +170,14 @@ impl Generator<'_> {
         let of_cells = shard.cells.iter().zip(scenes).map(|(cell, scene)| {
             let agents = agents(cell, scene)?;
             let own = shard.first_sample..shard.first_sample + n_own;
-            let templates = Templates::new(own.end + n_further(sweep, cell));
-            let mut before = Before { templates, ..Before::default() };
+            let mut before = Before { templates: Templates::new(own.end + N_FURTHER), ..Before::default() };
             own.map(|sample_idx| self.condition_anew(sweep, (cell, scene), agents, sample_idx, &mut before)).collect()
         });
         Ok(Given { of_cells: of_cells.collect::<Result<_, Error>>()?, first_sample: shard.first_sample })
     }
 
-    /// The conditioning of a sample with a template that shows what is asked of it, and in which the requested agents do
-    /// not move as in a sample `before`, to which it is added. If there is none, it is not to be sampled.
+    /// The conditioning of a sample with a template in which the requested agents do not move as in a sample `before`,
+    /// to which it is added. If there is none, it repeats one of them.
     fn condition_anew(
         &self,
         sweep: &ResolvedSweep,
@@ -197,43 +190,21 @@ impl Generator<'_> {
         let mut variant = Variant { sample_idx, further: 0 };
         loop {
             let mut given = self.condition(sweep, cell, scene, agents, variant, templates)?;
-            let Some(template) = given.template() else { return Ok(given) };
-            let path = PairPath::of(&template, &cell.roles);
-            let is_like = |other: &PairPath| {
-                path.as_ref().is_some_and(|path| other.distance_m(path) < self.config.duplicate_distance_m)
-            };
-            given.skipped = match self.misses(sweep, cell, sample_idx, &template) {
-                true => Some(Rejection::MissedTarget),
-                false => paths.iter().any(is_like).then_some(Rejection::RepeatedTemplate),
-            };
-            if given.skipped.is_none() {
-                paths.extend(path);
-                return Ok(given);
+            let Some(path) = given.path(&cell.roles) else { return Ok(given) };
+            given.repeats = paths.iter().any(|other| other.distance_m(&path) < self.config.duplicate_distance_m);
+            if !given.repeats {
+                paths.push(path);
             }
-            if variant.further == n_further(sweep, cell) {
+            if !given.repeats || variant.further == N_FURTHER {
                 return Ok(given);
             }
             variant.further += 1;
         }
     }
 
-    /// Whether the event of a template is another than a request asks of this sample. What it shows is certain: the
-    /// agents follow it. Sweeps take whatever event their templates bring.
-    fn misses(&self, sweep: &ResolvedSweep, cell: &Cell, sample_idx: usize, template: &Scene) -> bool {
-        let target = cell.target(sample_idx);
-        let Some(behavior) = self.behavior(sweep).filter(|_| is_asked(sweep, cell)) else { return false };
-        let (is_found, events) = requested_events(behavior, &cell.roles, template);
-        let reaches = |event: &BehaviorEvent| {
-            target.iter().all(|(name, [least, most])| {
-                event.parameters.get(name.as_str()).is_none_or(|value| (*least..=*most).contains(value))
-            })
-        };
-        is_found && !events.first().is_some_and(reaches)
-    }
-
     /// Cells (by index) and samples that are denoised together. Scenes of similar size share a batch, so that there is
     /// little padding, and so do all samples of a scene if they fit, so that the scene is encoded once. With templates
-    /// the samples of a scene share nothing, and a batch has one sample per scene, without those that are skipped.
+    /// the samples of a scene share nothing, and a batch has one sample per scene, without those that repeat another.
     fn batches(&self, sweep: &ResolvedSweep, scenes: &[Scene], given: &Given) -> Vec<(Vec<usize>, Range<usize>)> {
         let mut order: Vec<usize> = (0..scenes.len()).collect();
         order.sort_by_key(|at| scenes[*at].tracks.len());
@@ -241,8 +212,7 @@ impl Generator<'_> {
         let mut batches = Vec::new();
         if sweep.uses_template() {
             for sample in start..start + n_samples {
-                let order: Vec<usize> =
-                    order.iter().copied().filter(|at| given.skipped(*at, sample).is_none()).collect();
+                let order: Vec<usize> = order.iter().copied().filter(|at| !given.repeats(*at, sample)).collect();
                 batches.extend(order.chunks(batch_size).map(|members| (members.to_vec(), sample..sample + 1)));
             }
             return batches;
@@ -254,15 +224,6 @@ impl Generator<'_> {
         }
         batches
     }
-}
-
-/// Whether a request asks for the event of a cell; the events at which sweeps aim are their own choice.
-fn is_asked(sweep: &ResolvedSweep, cell: &Cell) -> bool {
-    sweep.aim == Aim::Anything && !cell.targets.is_empty()
-}
-
-fn n_further(sweep: &ResolvedSweep, cell: &Cell) -> usize {
-    if is_asked(sweep, cell) { N_FURTHER_IF_ASKED } else { N_FURTHER }
 }
 
 /// The requested agents of a cell, as tracks of its scene; the scene's ego agent twice if there are none. The first is

@@ -168,7 +168,7 @@ impl SampleFolder {
         let manifest = SampleManifest {
             n_scenarios: shards.iter().map(|shard| shard.n_scenarios).sum(),
             n_verified: shards.iter().map(|shard| shard.n_verified).sum(),
-            n_rejected: rejected.filter(|it| matches!(it.reason, Rejection::Unfit(_))).count() as u64,
+            n_rejected: rejected.filter(|it| it.reason != Rejection::RepeatedTemplate).count() as u64,
             shards,
             sampled_with,
         };
