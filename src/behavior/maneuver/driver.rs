@@ -142,8 +142,8 @@ impl Pace {
         self
     }
 
-    /// Adds braking from `from_s` seconds after the present on, at this speed, m/s, to a stand: with `mps2` in the mean,
-    /// firmer at first.
+    /// Adds braking from `from_s` seconds after the present on, at this speed, m/s, to a stand: with `mps2` in the
+    /// mean, firmer at first.
     #[must_use]
     pub(in crate::behavior) fn stopping(mut self, from_s: f64, mps2: f64, speed_mps: f64) -> Self {
         let firmer = FIRST_FIRMER.min(FIRMEST_MPS2 / mps2).max(1.0);

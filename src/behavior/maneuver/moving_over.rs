@@ -257,11 +257,12 @@ mod tests {
 
     #[test]
     fn others_go_on_along_their_lanes() {
-        // From 8 m before an arc of 6 m to the right: after 3 s, 7 m along it.
+        // Toward an arc of 6 m to the right, that begins at y = -6: after 3 s, so far along it.
         let up = Drive::straight(0.0, -14.0, std::f64::consts::FRAC_PI_2, 5.0);
         let scene = testing::going_on(&[up], testing::merging_side_road());
         let all = going_on(&scene.lasting(scene.n_history + 30), &SceneLanes::new(&scene.lanes));
-        let (turned_rad, at) = (7.0_f64 / 6.0, all[0].1[30]);
+        let start_m = -6.0 - scene.state(0, scene.current_timestep()).unwrap().position.y;
+        let (turned_rad, at) = ((15.0 - start_m) / 6.0, all[0].1[30]);
         let expected = Vec2::new(6.0 - 6.0 * turned_rad.cos(), 6.0 * turned_rad.sin() - 6.0);
         assert!(at.distance(expected) < 0.1, "{at:?}, expected {expected:?}");
     }
