@@ -56,9 +56,13 @@ impl CleanPotential for ObjectiveSum<'_> {
 /// data, because it needs no derivative of the network. Traffic has little variance in modes that change from timestep
 /// to timestep, so it is pushed along its motion: aside without a jolt.
 ///
-/// Where J is curved, the full step overshoots: near D, J ≈ -½ k (c · x₀ - b)² has the exact answer D + α C ∇J / (1 + α
-/// k c · C c). Such a J obeys ∇J · C ∇J = 2 |J| k c · C c, so the factor 1 / (1 + α ∇J · C ∇J / (2 |J|)) gives it
-/// without knowing k and c; it supposes J ≤ 0 with 0 as the best.
+/// Where J is curved, that full step overshoots, and a wish that only a guided sample violates (not to move over too
+/// fast) has no gradient yet. The mode of the tilted posterior is looked for instead: x₀ = D + C w with the w that
+/// maximizes F(w) = α J(D + C w) - ½ w · C w, which is w = α ∇J where J is linear. From w = 0, each step goes along α ∇J -
+/// w, the gradient of F in the metric of C, by as much as the last change of this gradient asks for (Barzilai and Borwein
+/// 1988), less if F would fall. The first goes by 1 / (1 + α ∇J · C ∇J / (2 |J|)): J ≈ -½ k (c · x₀ - b)² obeys ∇J · C
+/// ∇J = 2 |J| k c · C c, so this gives its exact answer D + α C ∇J / (1 + α k c · C c) without knowing k and c. It
+/// supposes J ≤ 0 with 0 as the best. The network is not evaluated again.
 pub struct CleanGuidedDenoiser<'a> {
     /// The denoiser that is guided; it may be guided otherwise already.
     pub inner: &'a dyn Denoiser,
@@ -71,6 +75,15 @@ pub struct CleanGuidedDenoiser<'a> {
     /// The modes of clean samples, where they are known; without them, entries are independent, of variance σ_data².
     pub modes: Option<&'a Surroundings>,
 }
+
+/// How often the potential is evaluated after a step at most.
+const N_STEPS: usize = 20;
+/// Steps end where the gradient of F has fallen to this share of the first, squared.
+const CONVERGED: f64 = 1e-4;
+/// F may fall by this share of it, which single precision does not know; a step that lets it fall is shortened to this
+/// share.
+const ROUNDING: f64 = 1e-6;
+const SHORTER: f64 = 0.25;
 
 /// The estimate of the inner denoiser, and the factor by which gradients are multiplied by its covariance.
 enum Estimate<'a> {
@@ -123,6 +136,93 @@ impl CleanGuidedDenoiser<'_> {
         })?;
         Ok((sigma_rows(&potential.detach())?, gradient))
     }
+
+    /// The shift C w of each row, with the w that maximizes F.
+    fn shift(&self, estimate: &Estimate<'_>, x0_hat: &Tensor, strengths: &[f64]) -> Result<Tensor> {
+        let mut at = self.ascent(estimate, x0_hat, strengths, &x0_hat.zeros_like()?)?;
+        let first = at.squares.clone();
+        let damped = |(square, value): (&f64, &f64)| {
+            let bend = square / (2.0 * value.abs());
+            // It is undefined where the potential is at its best.
+            if bend.is_finite() && bend > 0.0 { 1.0 / (1.0 + bend) } else { 1.0 }
+        };
+        let mut steps: Vec<f64> = first.iter().zip(&at.values).map(damped).collect();
+        for _ in 0..N_STEPS {
+            let is_open: Vec<bool> =
+                at.squares.iter().zip(&first).map(|(now, first)| *now > CONVERGED * first).collect();
+            if !is_open.contains(&true) {
+                break;
+            }
+            let by = steps.iter().zip(&is_open).map(|(step, is_open)| if *is_open { *step } else { 0.0 }).collect();
+            let w = (&at.w + at.direction.broadcast_mul(&rows_like(by, x0_hat)?)?)?;
+            let then = self.ascent(estimate, x0_hat, strengths, &w)?;
+            let crossed = dots(&then.direction, &at.pushes)?;
+            let is_better = |row: usize| then.values[row] >= at.values[row] - ROUNDING * at.values[row].abs();
+            let is_better: Vec<bool> = (0..steps.len()).map(is_better).collect();
+            for (row, step) in steps.iter_mut().enumerate().filter(|(row, _)| is_open[*row]) {
+                // The change of the gradient along the step, in shares of it.
+                let change = 1.0 - crossed[row] / at.squares[row];
+                *step *= if !is_better[row] {
+                    SHORTER
+                } else if change > 0.0 {
+                    change.recip()
+                } else {
+                    1.0
+                };
+            }
+            at = at.or(then, &is_better)?;
+        }
+        estimate.times_covariance(&at.w)
+    }
+
+    /// F and its gradient at `w`.
+    fn ascent(&self, estimate: &Estimate<'_>, x0_hat: &Tensor, strengths: &[f64], w: &Tensor) -> Result<Ascent> {
+        let shift = estimate.times_covariance(w)?;
+        let (potential, gradient) = self.gradient(&(x0_hat + &shift)?)?;
+        let direction = (gradient.broadcast_mul(&rows_like(strengths.to_vec(), w)?)? - w)?;
+        let pushes = estimate.times_covariance(&direction)?;
+        let (costs, squares) = (dots(w, &shift)?, dots(&direction, &pushes)?);
+        let value = |row: usize| strengths[row] * potential[row] - costs[row] / 2.0;
+        Ok(Ascent { w: w.clone(), values: (0..strengths.len()).map(value).collect(), direction, pushes, squares })
+    }
+}
+
+/// F at w, and the way up.
+struct Ascent {
+    w: Tensor,
+    /// F of each row.
+    values: Vec<f64>,
+    /// d = α ∇J - w, the gradient of F in the metric of C.
+    direction: Tensor,
+    /// C d.
+    pushes: Tensor,
+    /// d · C d of each row.
+    squares: Vec<f64>,
+}
+
+impl Ascent {
+    /// `then` in these rows, and this in the others.
+    fn or(self, then: Self, rows: &[bool]) -> Result<Self> {
+        let shape: Vec<usize> = (0..self.w.rank()).map(|dim| if dim == 0 { rows.len() } else { 1 }).collect();
+        let taken: Vec<u8> = rows.iter().map(|row| u8::from(*row)).collect();
+        let taken = Tensor::from_vec(taken, shape, self.w.device())?.broadcast_as(self.w.shape())?;
+        let tensors = |old: &Tensor, new: &Tensor| taken.where_cond(new, old);
+        let numbers = |old: Vec<f64>, new: Vec<f64>| {
+            rows.iter().zip(old.into_iter().zip(new)).map(|(row, (old, new))| if *row { new } else { old }).collect()
+        };
+        Ok(Self {
+            w: tensors(&self.w, &then.w)?,
+            direction: tensors(&self.direction, &then.direction)?,
+            pushes: tensors(&self.pushes, &then.pushes)?,
+            values: numbers(self.values, then.values),
+            squares: numbers(self.squares, then.squares),
+        })
+    }
+}
+
+/// a · b of each row.
+fn dots(a: &Tensor, b: &Tensor) -> Result<Vec<f64>> {
+    sigma_rows(&(a * b)?.flatten_from(1)?.sum(1)?)
 }
 
 impl Denoiser for CleanGuidedDenoiser<'_> {
@@ -134,16 +234,7 @@ impl Denoiser for CleanGuidedDenoiser<'_> {
         }
         let estimate = self.estimate(x, sigma)?;
         let x0_hat = estimate.x0_hat();
-        let (potential, gradient) = self.gradient(&x0_hat)?;
-        let push = estimate.times_covariance(&gradient)?;
-        let products = sigma_rows(&(&gradient * &push)?.flatten_from(1)?.sum(1)?)?;
-        let damping = |row: usize| {
-            let bend = strengths[row] * products[row] / (2.0 * potential[row].abs());
-            // It is undefined where the potential is at its best.
-            if bend.is_finite() && bend > 0.0 { 1.0 / (1.0 + bend) } else { 1.0 }
-        };
-        let damping = rows_like((0..strengths.len()).map(damping).collect(), x)?;
-        let shift = push.broadcast_mul(&rows_like(strengths, x)?)?.broadcast_mul(&damping)?;
+        let shift = self.shift(&estimate, &x0_hat, &strengths)?;
         x0_hat + limit_norm(&shift, self.gate.max_shift)?
     }
 }

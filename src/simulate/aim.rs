@@ -4,7 +4,7 @@
 //! The agents keep their paths, and one of them drives faster or slower within the limits of vehicles: by as little as
 //! suffices for the definition of the behavior to find the event in the driven states and those expected of the ego.
 
-use super::drivers::reacting;
+use super::drivers::{Idm, ahead};
 use super::reaction::retimed;
 use super::situation::Situation;
 use super::world::World;
@@ -49,7 +49,8 @@ impl Situation {
         for (more_mps2, who) in tried {
             let Some(mut plan) = self.planned_again(world, (who, more_mps2), n_steps) else { continue };
             // An ego that keeps its distance once somebody is in its way should not undo the event, nor be hurt.
-            let reacting = reacting(self, world, n_steps, |idx, timestep| self.then(world, &plan, idx, timestep));
+            let then = |idx, timestep| self.then(world, &plan, idx, timestep);
+            let reacting = ahead(&mut Idm, self, world, n_steps, then);
             let is_fair = self.is_hit(expected, &plan) == is_hit && !self.is_hit(&reacting, &plan);
             if more_mps2 != 0.0 && !(is_fair && self.is_free(world, &plan)) {
                 continue;
@@ -83,10 +84,7 @@ impl Situation {
         let step = timestep - world.now();
         match plan.states.iter().find(|(idx, _)| *idx == agent_idx) {
             Some((_, states)) => states.get(step).copied(),
-            None => world.present(agent_idx).map(|now| {
-                let moved = now.velocity * (step as f64 * self.scene.dt_s);
-                State { position: now.position + moved, ..now }
-            }),
+            None => self.straight_on(world, agent_idx, timestep),
         }
     }
 

@@ -1,7 +1,7 @@
 //! Futures of everybody, drawn from the model and corrected before they are driven.
 
 use super::Result;
-use super::drivers::{Log, expected};
+use super::drivers::{Log, ahead, expected};
 use super::reaction::{brake, ease, go_on, hold_places, keep_to_lanes, walk_on};
 use super::rollout::{Drive, OFF_ROAD_SLACK_M};
 use super::situation::Situation;
@@ -36,7 +36,9 @@ impl Drive<'_> {
         let n_ahead = sizes[1] - sizes[0];
         // What the ego of a continued scenario will do is known: who expects more of it brakes for nothing.
         let expected = match is_continued && !self.driver.answers() {
-            true => Log::ahead(situation, &self.world, n_ahead),
+            true => ahead(&mut Log, situation, &self.world, n_ahead, |idx, timestep| {
+                situation.plan(&self.world, idx, timestep).or_else(|| situation.straight_on(&self.world, idx, timestep))
+            }),
             false => expected(situation, &self.world, n_ahead),
         };
         if !is_continued {

@@ -81,6 +81,40 @@ fn damping_is_exact_for_the_square_of_one_linear_wish() {
     assert_close(estimate(&guided(&denoiser, &Squared(c, b, k)), SIGMA), expected, 1e-10);
 }
 
+/// Two wishes of different weight, J = -½ Σ k (c · x₀ - b)², and one that only a guided sample violates.
+struct Several;
+impl Several {
+    const WISHES: [([f64; 2], f64, f64); 2] = [([2.0, -0.7], 1.0, 40.0), ([0.3, 0.6], -0.4, 700.0)];
+    const MOST: f64 = 0.15;
+}
+impl CleanPotential for Several {
+    fn log_potential(&self, x0: &Tensor) -> Result<Tensor> {
+        let excess = (x0.narrow(1, 0, 1)?.sum(1)? - Self::MOST)?.relu()?;
+        let costs = Self::WISHES.map(|(c, b, k)| Squared(c, b, k).log_potential(x0));
+        costs.into_iter().try_fold((excess.sqr()? * -50.0)?, |sum, cost| sum + cost?)
+    }
+}
+
+#[test]
+fn several_wishes_are_weighed_as_the_mode_of_the_tilted_posterior_does() {
+    let denoiser = MixtureDenoiser::new(&gaussian([0.25, 0.25]), DType::F64).unwrap();
+    let found = estimate(&guided(&denoiser, &Several), SIGMA);
+    // The normal equations (1 / v + 1.5 Σ k c cᵀ) x = m / v + 1.5 Σ k b c, with the excess as a third observation.
+    let both = [0, 1].map(|i| posterior(0.25, [0.3, -0.2][i], AT[i], SIGMA));
+    let mut matrix = [[1.0 / both[0].1, 0.0], [0.0, 1.0 / both[1].1]];
+    let mut right = both.map(|(mean, variance)| mean / variance);
+    for (c, b, k) in Several::WISHES.into_iter().chain([([1.0, 0.0], Several::MOST, 100.0)]) {
+        for i in 0..2 {
+            right[i] += 1.5 * k * b * c[i];
+            (0..2).for_each(|j| matrix[i][j] += 1.5 * k * c[i] * c[j]);
+        }
+    }
+    let [[a, b], [c, d]] = matrix;
+    let expected = [(d * right[0] - b * right[1]) / (a * d - b * c), (a * right[1] - c * right[0]) / (a * d - b * c)];
+    assert!(expected[0] > Several::MOST, "the last wish counts at the mode: {expected:?}");
+    assert_close(found, expected, 0.02);
+}
+
 #[test]
 fn samples_of_gaussian_data_follow_the_tilted_distribution() {
     let denoiser = MixtureDenoiser::new(&gaussian([0.25, 0.25]), DType::F64).unwrap();

@@ -52,29 +52,6 @@ fn calm_mps2(model_mps2: f64, ego_mps: f64, ahead: &Seen) -> f64 {
     model_mps2.max(calm_mps2)
 }
 
-/// The states of the ego at the next `n_steps` timesteps if this model drives it; `then` gives the state of another
-/// agent by track and timestep.
-pub(in crate::simulate) fn reacting(
-    situation: &Situation,
-    world: &World,
-    n_steps: usize,
-    then: impl Fn(usize, usize) -> Option<State>,
-) -> Vec<State> {
-    let mut world = world.clone();
-    let next = |_| {
-        let state = Idm.next(situation, &world, None).ok()?;
-        let timestep = world.n_timesteps();
-        let states = (0..world.n_tracks()).map(|idx| match idx == situation.ego_idx {
-            true => Some(state),
-            false => then(idx, timestep),
-        });
-        let states: Vec<Option<State>> = states.collect();
-        world.push(states);
-        Some(state)
-    };
-    (0..n_steps).map_while(next).collect()
-}
-
 /// The model's acceleration behind the nearest agent in the way of the ego, m/s².
 fn behind_nearest(situation: &Situation, ego: &State, seen: &[Option<Seen>]) -> f64 {
     acceleration(situation, ego, nearest(situation, seen).into_iter())

@@ -1,12 +1,14 @@
 //! The drivers that need no planner.
 
+mod ahead;
 mod careful;
 mod idm;
 mod replay;
 mod way;
 
+pub(super) use ahead::ahead;
 pub(crate) use careful::Careful;
-pub(super) use idm::{Idm, free_m, reacting};
+pub(super) use idm::{Idm, free_m};
 pub(crate) use replay::Log;
 pub(super) use replay::{AtConstantVelocity, Model};
 pub(super) use way::expected;

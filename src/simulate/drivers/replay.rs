@@ -54,23 +54,6 @@ impl Driver for Log {
     }
 }
 
-impl Log {
-    /// The states of the ego at the next `n_steps` timesteps if the others keep to their plans, or to their speeds.
-    pub(in crate::simulate) fn ahead(situation: &Situation, world: &World, n_steps: usize) -> Vec<State> {
-        let (mut world, dt_s) = (world.clone(), situation.scene.dt_s);
-        let next = |_| {
-            let (state, timestep) = (Self.next(situation, &world, None).ok()?, world.n_timesteps());
-            let goes_on = |s: State| State { position: s.position + s.velocity * dt_s, ..s };
-            let other = |idx: usize| situation.plan(&world, idx, timestep).or_else(|| world.present(idx).map(goes_on));
-            let all = (0..world.n_tracks()).map(|idx| if idx == situation.ego_idx { Some(state) } else { other(idx) });
-            let all: Vec<Option<State>> = all.collect();
-            world.push(all);
-            Some(state)
-        };
-        (0..n_steps).map_while(next).collect()
-    }
-}
-
 impl Driver for AtConstantVelocity {
     fn begin(&mut self, _situation: &Situation, _world: &World) -> Result<(), Failed> {
         Ok(())

@@ -1,14 +1,15 @@
 //! Motion along the way of the ego, and other agents as seen from it.
 
-use crate::behavior::RELEASE_JERK_MPS3;
 use crate::metrics::{Seen, eased_mps2};
 use crate::scene::State;
 use crate::simulate::Situation;
 use crate::simulate::driver::Failed;
 use crate::simulate::world::World;
 
-/// How fast the deceleration of an ego grows after the end of its plan, m/s³.
-const GENTLE_MPS3: f64 = 5.0;
+/// After the end of its plan, an ego presses and releases its pedals within about this time, seconds, and no faster than
+/// with this jerk, m/s³.
+const PEDAL_S: f64 = 0.4;
+const GENTLE_MPS3: f64 = 4.0;
 /// The last moment, over which braking is judged, seconds.
 const LAST_MOMENT_S: f64 = 0.3;
 
@@ -26,7 +27,8 @@ pub(super) fn advanced_gently(situation: &Situation, world: &World, wanted_mps2:
     let step_mps = |n: usize| Some(state(n)?.position.distance(state(n + 1)?.position) / dt_s);
     let (last_mps, before_mps) = (step_mps(0)?, step_mps(1)?);
     let own_mps2 = (last_mps - before_mps) / dt_s;
-    let mps2 = wanted_mps2.clamp(own_mps2 - GENTLE_MPS3 * dt_s, own_mps2 + RELEASE_JERK_MPS3 * dt_s);
+    let mps3 = ((wanted_mps2 - own_mps2) / PEDAL_S).clamp(-GENTLE_MPS3, GENTLE_MPS3);
+    let mps2 = own_mps2 + mps3 * dt_s;
     // The next step is that much faster than the last one.
     let ego = state(0)?;
     let along = ego.velocity * ego.speed_mps().max(f64::MIN_POSITIVE).recip();

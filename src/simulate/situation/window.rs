@@ -104,6 +104,12 @@ impl Situation {
         })?
     }
 
+    /// The state of an agent at a later timestep if it goes straight on at its present velocity.
+    pub(in crate::simulate) fn straight_on(&self, world: &World, agent_idx: usize, timestep: usize) -> Option<State> {
+        let later_s = (timestep - world.now()) as f64 * self.scene.dt_s;
+        world.present(agent_idx).map(|now| State { position: now.position + now.velocity * later_s, ..now })
+    }
+
     /// `n_timesteps` of the world from `first` on; states not reached yet are missing.
     fn cut(&self, world: &World, first: usize, n_timesteps: usize, n_history: usize) -> Scene {
         let track = |(agent_idx, track): (usize, &Track)| {
