@@ -106,13 +106,16 @@ impl LaneKeeper {
     pub(super) fn keep(&self, entries: &mut [Option<State>], latent: &[u8]) {
         let is_observed = |t: &usize| latent[*t] == 0 && entries[*t].is_some();
         let Some(first) = (0..entries.len()).rfind(is_observed).map(|last| last + 1) else { return };
+        // Beside the inner side of a corner, the nearest place on the line jumps, so the agent is moved to it first.
         let on_line = |(i, state): (usize, &Option<State>)| {
             let state = state.as_ref()?;
-            Some((first + i, self.line.project(state.position)))
+            let along_rad = self.direction_rad + angle_difference(state.heading_rad, self.heading_rad);
+            let beside = Vec2::from_angle(along_rad + FRAC_PI_2) * self.offset_m;
+            Some((first + i, self.line.project(state.position - beside)))
         };
         let found: Vec<(usize, Option<Projection>)> = entries[first..].iter().enumerate().filter_map(on_line).collect();
         let turn = |at: &Projection| angle_difference(at.heading_rad, self.direction_rad);
-        let is_kept = |at: &Projection| (at.offset_m - self.offset_m).abs() <= KEPT_M && turn(at).abs() <= STRAIGHT_RAD;
+        let is_kept = |at: &Projection| at.offset_m.abs() <= KEPT_M && turn(at).abs() <= STRAIGHT_RAD;
         if !found.iter().all(|(_, at)| at.as_ref().is_some_and(is_kept)) {
             return;
         }
@@ -256,6 +259,30 @@ mod tests {
                 true => assert!((found.heading_rad - 0.01 * turned).abs() < 1e-4, "{t}: {}", found.heading_rad),
                 false => assert!((found.heading_rad - direction_rad).abs() < 1e-12, "{t}"),
             }
+        }
+    }
+
+    #[test]
+    fn who_drives_beside_a_corner_of_the_line_moves_on_steadily() {
+        for offset_m in [1.7, -1.7] {
+            let mut scene = traffic(&[9.0], |_, _| offset_m);
+            let keeper = keepers(&scene)[0].clone().unwrap();
+            // A sample that rounds the corner off over 6 m by itself, and becomes faster with 0.1 m/s².
+            let smooth = |t: usize| {
+                let station_m = 0.9 * t as f64 + 5e-4 * (t.saturating_sub(N_OBSERVED) as f64).powi(2);
+                let all: Vec<(Vec2, f64)> = (-30..=30).map(|i| on_lane(station_m + 0.1 * f64::from(i))).collect();
+                let sum = all.iter().fold((Vec2::ZERO, 0.0), |sum, (at, rad)| (sum.0 + *at, sum.1 + *rad));
+                let (at, heading_rad) = (sum.0 * (1.0 / 61.0), sum.1 / 61.0);
+                let position = at + Vec2::from_angle(heading_rad + FRAC_PI_2) * offset_m;
+                Some(State { position, heading_rad, velocity: Vec2::ZERO })
+            };
+            scene.tracks[0].trajectory = Trajectory::new((0..41).map(smooth).collect());
+            let mut entries = scene.tracks[0].trajectory.entries().to_vec();
+            keeper.keep(&mut entries, &(0..41).map(|t| u8::from(t >= N_OBSERVED)).collect::<Vec<_>>());
+            let steps_m = entries.windows(2).map(|pair| pair[1].unwrap().position.distance(pair[0].unwrap().position));
+            let steps_m: Vec<f64> = steps_m.collect();
+            let most_m = steps_m.windows(2).map(|pair| (pair[1] - pair[0]).abs()).fold(0.0, f64::max);
+            assert!(most_m < 4e-3, "{most_m}");
         }
     }
 
