@@ -294,3 +294,37 @@ fn what_the_ego_of_a_scenario_will_do_is_known_and_passes_smoothly_into_what_it_
     assert!(mps2[10..].windows(2).all(|pair| (0.0..0.401).contains(&(pair[1] - pair[0]))), "{mps2:?}");
     assert!((mps2[10] + 3.6).abs() < 0.01 && mps2[19] > -0.1, "{mps2:?}");
 }
+
+#[test]
+fn an_ego_that_goes_on_keeps_its_distance_from_who_comes_over() {
+    // The ego drives with 12 m/s; the other is 20 m ahead and 3 m aside at present, with 9 m/s.
+    let ends_with_mps = |across_mps: f64| {
+        let mut record = record();
+        let ego = record.subject_idx().unwrap();
+        let scene = &mut record.scenario.scene;
+        let other = (0..scene.tracks.len()).find(|idx| *idx != ego).unwrap();
+        let (present, dt_s, n) = (scene.current_timestep(), scene.dt_s, scene.n_timesteps);
+        let at = *scene.state(ego, present).unwrap();
+        let along = crate::geometry::Vec2::from_angle(at.heading_rad);
+        let state = |idx: usize, timestep: usize| {
+            let [from, velocity] = match idx == ego {
+                true => [at.position, along * 12.0],
+                false => [at.position + along * 20.0 + along.left() * 3.0, along * 9.0 - along.left() * across_mps],
+            };
+            let elapsed_s = (timestep as f64 - present as f64) * dt_s;
+            State { position: from + velocity * elapsed_s, velocity, ..at }
+        };
+        for idx in 0..scene.tracks.len() {
+            let known = |timestep: usize| idx == other || idx == ego && timestep <= present;
+            let states = (0..n).map(|timestep| known(timestep).then(|| state(idx, timestep)));
+            scene.tracks[idx].trajectory = Trajectory::new(states.collect());
+        }
+        let situation = situation(&record);
+        let then = |idx: usize, timestep: usize| (idx == other).then(|| state(idx, timestep));
+        let ahead = drivers::ahead(&mut Log, &situation, &situation.start(1), 8, then);
+        ahead[7].speed_mps()
+    };
+    // After 0.8 s, its flank is still 1.3 m beside the path: nobody is in the way yet.
+    let (comes_mps, stays_mps) = (ends_with_mps(1.0), ends_with_mps(0.0));
+    assert!(comes_mps < stays_mps - 0.3, "{comes_mps}, {stays_mps}");
+}

@@ -19,8 +19,10 @@ use crate::scene::{ObservationMask, Scene, Trajectory};
 use crate::store::{SceneStore, as_stored};
 use std::sync::Arc;
 
-/// How long after the event begins its ego answers to it, seconds: as the careful driver of UN R157.
+/// How long after the event begins, or somebody has come closer to its way by this, meters, its ego answers, seconds: as
+/// the careful driver of UN R157.
 const REACTS_S: f64 = 0.75;
+const WANDERING_M: f64 = 0.375;
 
 /// Drives on the scenarios of a shard that show the requested behavior, or all if none is requested; arrivals are those
 /// of places in `store`. A scenario whose ego has no way stays as it is, and one without a future is rejected.
@@ -67,7 +69,7 @@ pub fn roll_out_samples(
             let others: Vec<usize> = others.filter(|idx| !situation.planned.contains(idx)).collect();
             situation.planned.extend(others);
             if config.ego == NamedDriver::Log {
-                let until = sees_from(&output.records[*i]);
+                let until = answers_from(&output.records[*i], &situation);
                 forget(&mut situation.scene, situation.ego_idx, until);
             }
             let [n_steps, _] = own.n_steps(situation.scene.dt_s);
@@ -107,10 +109,24 @@ pub fn roll_out_samples(
 
 /// The timestep from which the ego of a sample without a template answers to what it did not see: guidance moves the
 /// others, and the sample lets the ego drive on.
-fn sees_from(record: &ScenarioRecord) -> usize {
+fn answers_from(record: &ScenarioRecord, situation: &Situation) -> usize {
     let event = record.events.first().filter(|_| !record.scenario.provenance.guidance.has_template());
-    let n_reacts = (REACTS_S / record.scenario.scene.dt_s).round() as usize;
-    event.map_or(usize::MAX, |event| event.start_timestep + n_reacts)
+    let Some(event) = event else { return usize::MAX };
+    let scene = &situation.scene;
+    // From the present on: before, the recorded driver has seen it.
+    let comes_over = |agent_idx: &usize| {
+        let track = &scene.tracks[*agent_idx];
+        let mut farthest_m = f64::NEG_INFINITY;
+        (scene.current_timestep()..scene.n_timesteps).find(|timestep| {
+            let place = scene.state(*agent_idx, *timestep).and_then(|state| situation.way.place(track, state));
+            let Some(offset_m) = place.map(|place| place.seen_from(0.0, 0.0, 0.0).offset_m) else { return false };
+            farthest_m = farthest_m.max(offset_m);
+            farthest_m - offset_m > WANDERING_M
+        })
+    };
+    let began = situation.planned.iter().filter_map(comes_over).min();
+    let n_reacts = (REACTS_S / scene.dt_s).round() as usize;
+    began.map_or(event.start_timestep, |began| began.min(event.start_timestep)) + n_reacts
 }
 
 /// Leaves out the states of an agent from a timestep on.
@@ -250,7 +266,19 @@ mod tests {
         let [_, logged, _] = rolled_out_from(guided, NamedDriver::Log, [3.0, 3.0], 1);
         let (before, after, ego_idx) =
             (&sampled.scenario.scene, &logged.scenario.scene, sampled.subject_idx().unwrap());
-        let answers = sampled.events[0].start_timestep + 8;
+        // The other has come over by 0.375 m, as seen from the ego at present, three timesteps before the event begins.
+        let (other_idx, began) = (
+            before.track_idx(sampled.events[0].roles.track("other").unwrap()).unwrap(),
+            sampled.events[0].start_timestep - 3,
+        );
+        let ego = before.state(ego_idx, 9).unwrap();
+        let aside_m = |timestep: usize| {
+            let place = before.state(other_idx, timestep).unwrap().position - ego.position;
+            place.rotated(-ego.heading_rad).y.abs()
+        };
+        let over_m = |timestep: usize| (9..timestep).map(aside_m).fold(0.0, f64::max) - aside_m(timestep);
+        assert!(over_m(began - 1) < WANDERING_M + 0.05 && over_m(began) > WANDERING_M - 0.05);
+        let answers = began + 8;
         let same = |idx: usize, timestep: usize| before.state(idx, timestep) == after.state(idx, timestep);
         let n = before.n_timesteps;
         assert_eq!((0..n).find(|timestep| !same(ego_idx, *timestep)), (answers < n).then_some(answers));

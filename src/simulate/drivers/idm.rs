@@ -13,6 +13,11 @@ const GAINS_S: f64 = 6.0;
 /// The distance that is left when both are as fast, and the least over which speed is lost, meters.
 const LEAVES_M: f64 = 2.0;
 const LEAST_M: f64 = 0.5;
+/// Who comes over by at least this, m/s over the last moment, seconds, and would be in the way within the next time, is
+/// expected there.
+const COMES_MPS: f64 = 0.3;
+const MOMENT_S: f64 = 0.3;
+const EXPECTED_S: f64 = 2.0;
 
 /// The intelligent driver model. It knows no rules of right of way, and reacts only to the nearest agent in its way.
 #[derive(Debug, Clone, Copy, Default)]
@@ -31,9 +36,10 @@ impl Driver for Idm {
 }
 
 impl Idm {
-    /// The next state of an ego that goes on after an event: it does not brake hard for a gap that is short but opens.
+    /// The next state of an ego that goes on after an event: it does not brake hard for a gap that is short but opens,
+    /// and keeps its distance from who comes over, too.
     pub(super) fn settling(situation: &Situation, world: &World) -> Result<State, Failed> {
-        let (state, seen) = (ego(situation, world)?, seen(situation, world, world.now()));
+        let (state, seen) = (ego(situation, world)?, expected_soon(situation, world));
         let mps2 = behind_nearest(situation, &state, &seen);
         let wanted_mps2 =
             nearest(situation, &seen).map_or(mps2, |nearest| calm_mps2(mps2, state.speed_mps(), &nearest));
@@ -45,11 +51,27 @@ impl Idm {
 /// ahead keeps its speed, or to fall back from it slowly. The model alone brakes at once, and fully, for a gap that is
 /// short but opens.
 fn calm_mps2(model_mps2: f64, ego_mps: f64, ahead: &Seen) -> f64 {
-    let needed_mps2 = -ahead.closing_mps.powi(2) / (2.0 * (ahead.gap_m - LEAVES_M).max(LEAST_M));
+    let free_m = (ahead.gap_m - LEAVES_M).min(ahead.gap_m / 2.0);
+    let needed_mps2 = -ahead.closing_mps.powi(2) / (2.0 * free_m.max(LEAST_M));
     let to_gain_mps = -(ahead.closing_mps + opens_mps(ego_mps, ahead.gap_m));
     let falls_back_mps2 = to_gain_mps / if to_gain_mps > 0.0 { GAINS_S } else { COMES_TO_S };
     let calm_mps2 = if ahead.closing_mps > 0.0 { needed_mps2.min(falls_back_mps2) } else { falls_back_mps2 };
     model_mps2.max(calm_mps2)
+}
+
+/// The other agents as seen from the ego's way, in it those that come over to it.
+fn expected_soon(situation: &Situation, world: &World) -> Vec<Option<Seen>> {
+    let n_before = (MOMENT_S / situation.scene.dt_s).round().max(1.0);
+    let mut all = seen(situation, world, world.now());
+    let before = world.now().checked_sub(n_before as usize).map(|timestep| seen(situation, world, timestep));
+    for (now, before) in all.iter_mut().zip(before.unwrap_or_default()) {
+        let Some((now, before)) = now.as_mut().zip(before) else { continue };
+        let comes_mps = (before.offset_m - now.offset_m) / (n_before * situation.scene.dt_s);
+        if comes_mps > COMES_MPS {
+            now.flank_m -= comes_mps * EXPECTED_S;
+        }
+    }
+    all
 }
 
 /// The model's acceleration behind the nearest agent in the way of the ego, m/s².
