@@ -6,7 +6,7 @@ use super::pool::Pool;
 use super::resolve::ResolvedRequest;
 use crate::metrics::{PairPath, PathIndex};
 use serde::{Deserialize, Serialize};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// A bucket is given up after this many samples in a row that aimed at it and were not accepted. At a rate of one in
 /// fifty, this happens in 2 of 100 cases.
@@ -40,6 +40,9 @@ pub struct CellTally {
     /// The bucket that they aimed at.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub aimed: Option<usize>,
+    /// The templates that they followed, each as the bucket it is solved for and its number.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub tried: Vec<(usize, usize)>,
     /// The number after that of the last sample.
     pub next_sample: usize,
     /// Samples that show the behavior with the requested agents.
@@ -109,7 +112,9 @@ pub(super) struct Aimed {
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub(super) struct CellCounts {
     /// The buckets that it can reach.
-    pub(super) reaches: Vec<usize>,
+    reaches: Vec<usize>,
+    /// The templates that samples followed, each as its arm, the bucket it is solved for and its number.
+    pub(super) tried: BTreeSet<(usize, usize, usize)>,
     /// Samples by arm.
     pub(super) n_samples: Vec<u64>,
     pub(super) next_sample: usize,
@@ -137,6 +142,8 @@ pub struct Ledger {
     fruitless: Vec<u64>,
     /// Whether buckets are given up at all.
     gives_up: bool,
+    /// Whether no cell has anything more for an open bucket.
+    is_exhausted: bool,
     /// Samples and evaluations spent while a bucket was not full.
     pub(super) spent_while_open: Vec<(u64, u64)>,
     pub(super) arms: Vec<ArmCounts>,
@@ -149,7 +156,7 @@ pub struct Ledger {
     paths: PathIndex,
     duplicate_distance_m: f64,
     /// The situation of each cell, and the events and the number of accepted scenarios by bucket in each of them.
-    situation_of_cell: Vec<usize>,
+    pub(super) situation_of_cell: Vec<usize>,
     situations: Vec<SituationCounts>,
     /// By bucket: the number of cells that may still have something for it.
     n_open: Vec<usize>,
@@ -189,6 +196,7 @@ impl Ledger {
             accepted: vec![0; n_buckets],
             fruitless: vec![0; n_buckets],
             gives_up: request.config.plan == PlanKind::Adaptive,
+            is_exhausted: false,
             spent_while_open: vec![(0, 0); n_buckets],
             arms: vec![counts.clone(); n_arms],
             first_round: vec![counts; n_arms],
@@ -230,6 +238,7 @@ impl Ledger {
                     *situation.by_bucket.entry(*bucket).or_default() += hits.n_accepted;
                 }
             }
+            counts.tried.extend(cell.tried.iter().map(|(bucket, number)| (tally.arm, *bucket, *number)));
             counts.n_samples[tally.arm] += cell.n_samples;
             counts.next_sample = counts.next_sample.max(cell.next_sample);
             if let Some(fruitless) = cell.aimed.and_then(|bucket| self.fruitless.get_mut(bucket)) {
@@ -282,7 +291,21 @@ impl Ledger {
 
     /// Whether a bucket lacks scenarios but was given up.
     pub fn is_given_up(&self, bucket: usize) -> bool {
-        self.gives_up && self.lacks(bucket) && (self.fruitless[bucket] >= N_FRUITLESS || self.n_open[bucket] == 0)
+        let is_barren = self.is_exhausted || self.fruitless[bucket] >= N_FRUITLESS || self.n_open[bucket] == 0;
+        self.gives_up && self.lacks(bucket) && is_barren
+    }
+
+    /// Gives up what is open: the last round was tried, although there is more to spend.
+    pub fn exhaust(&mut self) {
+        self.is_exhausted = true;
+    }
+
+    /// How many more scenarios an open bucket takes from the situation of a cell, which may reach it without having
+    /// been expected to.
+    pub(super) fn room_for(&self, cell: usize, bucket: usize) -> u64 {
+        let is_closed = self.cells[cell].reaches.contains(&bucket) && !self.is_open_to(cell, bucket);
+        let most = if is_closed || !self.is_open(bucket) { 0 } else { self.max_per_scene };
+        most.saturating_sub(self.accepted_of_cell(cell, bucket))
     }
 
     /// Whether a bucket is open, and a cell may have something for it.

@@ -16,6 +16,7 @@ mod limits;
 mod pool;
 mod resolve;
 mod rounds;
+mod shown;
 mod summary;
 #[cfg(test)]
 mod tests;
@@ -28,5 +29,6 @@ pub use ledger::{CellTally, Hits, Ledger, ShardTally};
 pub use limits::{Limit, LimitRange};
 pub use pool::Pool;
 pub use resolve::{Arm, ResolvedGeneration, ResolvedRequest};
-pub use rounds::{Round, RoundContext, RoundShard};
+pub use rounds::{CellAim, Round, RoundContext, RoundShard};
+pub use shown::{KnownTemplates, Shown, Templates};
 pub use summary::{ArmSummary, BucketSummary, Ended, RequestSummary, Yield};
