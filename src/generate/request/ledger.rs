@@ -6,7 +6,7 @@ use super::pool::Pool;
 use super::resolve::ResolvedRequest;
 use crate::metrics::{PairPath, PathIndex};
 use serde::{Deserialize, Serialize};
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 
 /// A bucket is given up after this many samples in a row that aimed at it and were not accepted. At a rate of one in
 /// fifty, this happens in 2 of 100 cases.
@@ -113,8 +113,8 @@ pub(super) struct Aimed {
 pub(super) struct CellCounts {
     /// The buckets that it can reach.
     reaches: Vec<usize>,
-    /// The templates that samples followed, each as its arm, the bucket it is solved for and its number.
-    pub(super) tried: BTreeSet<(usize, usize, usize)>,
+    /// How many samples followed each template, by its arm, the bucket it is solved for and its number.
+    pub(super) tried: BTreeMap<(usize, usize, usize), u64>,
     /// Samples by arm.
     pub(super) n_samples: Vec<u64>,
     pub(super) next_sample: usize,
@@ -238,7 +238,9 @@ impl Ledger {
                     *situation.by_bucket.entry(*bucket).or_default() += hits.n_accepted;
                 }
             }
-            counts.tried.extend(cell.tried.iter().map(|(bucket, number)| (tally.arm, *bucket, *number)));
+            for (bucket, number) in &cell.tried {
+                *counts.tried.entry((tally.arm, *bucket, *number)).or_default() += 1;
+            }
             counts.n_samples[tally.arm] += cell.n_samples;
             counts.next_sample = counts.next_sample.max(cell.next_sample);
             if let Some(fruitless) = cell.aimed.and_then(|bucket| self.fruitless.get_mut(bucket)) {
@@ -270,7 +272,7 @@ impl Ledger {
 
     /// Closes cells of the situation of this one to buckets for which they have nothing more.
     fn close_exhausted(&mut self, cell: usize) {
-        let most_aimed = N_USUAL_HITS / self.usual_rate(|_| true);
+        let most_aimed = N_USUAL_HITS / self.usual_rate();
         let Self { situations, cells, n_open, max_per_scene, .. } = self;
         let Some(situation) = self.situation_of_cell.get(cell).map(|idx| &situations[*idx]) else { return };
         for cell in &situation.cells {
@@ -316,15 +318,25 @@ impl Ledger {
     /// The number of scenarios that an open bucket probably lacks after this many more samples that aim at it.
     pub(super) fn lack_after(&self, n_aimed: u64, bucket: usize) -> f64 {
         let n_lacking = self.wanted[bucket] - self.accepted[bucket];
-        n_lacking as f64 - self.usual_rate(|other| other == bucket) * n_aimed as f64
+        // As two samples at the rate of all buckets: what is not known of this one.
+        let of_bucket = self.aimed(|other| other == bucket);
+        let rate = (2.0 * self.usual_rate() + of_bucket.n_hits as f64) / (2.0 + of_bucket.n_samples as f64);
+        n_lacking as f64 - rate * n_aimed as f64
     }
 
-    /// The share of samples that fall into the bucket that they aim at, among those that aim at these buckets, by
-    /// Laplace's rule of succession.
-    fn usual_rate(&self, is_counted: impl Fn(usize) -> bool) -> f64 {
-        let aimed = (0..self.arms.len()).map(|arm| self.aimed_of_arm(arm, &is_counted));
-        let (n_samples, n_hits) = aimed.fold((0, 0), |sum, arm| (sum.0 + arm.n_samples, sum.1 + arm.n_hits));
+    /// The share of samples that fall into the bucket that they aim at, by Laplace's rule of succession.
+    fn usual_rate(&self) -> f64 {
+        let Aimed { n_samples, n_hits } = self.aimed(|_| true);
         (1 + n_hits) as f64 / (2 + n_samples) as f64
+    }
+
+    /// Samples that aimed at these buckets.
+    fn aimed(&self, is_counted: impl Fn(usize) -> bool) -> Aimed {
+        let arms = (0..self.arms.len()).map(|arm| self.aimed_of_arm(arm, &is_counted));
+        arms.fold(Aimed::default(), |sum, arm| Aimed {
+            n_samples: sum.n_samples + arm.n_samples,
+            n_hits: sum.n_hits + arm.n_hits,
+        })
     }
 
     fn lacks(&self, bucket: usize) -> bool {

@@ -14,7 +14,9 @@ use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
 /// How many templates of a cell are solved for a bucket.
-const N_TEMPLATES: usize = 12;
+const N_TEMPLATES: usize = 16;
+/// How often a motion is sampled that was not accepted: what the others do around it differs.
+const N_TRIES: u64 = 2;
 
 /// A template of a cell that is worth a sample.
 #[derive(Debug, Clone, PartialEq)]
@@ -90,8 +92,7 @@ impl Generator<'_> {
 
 impl ResolvedRequest {
     /// The cell with templates that are worth a sample: solved for the first of these buckets that has some, all of
-    /// them with events of one open bucket, none like that of an accepted scenario of the situation or like one that
-    /// was tried. The outer `None` means that the arm has no templates, the inner one that the cell has no more of them.
+    /// them with events of one open bucket and none of them known. The outer `None` means that the arm has no templates, the inner one that the cell has no more of them.
     pub(super) fn with_templates(
         &self,
         context: &RoundContext<'_>,
@@ -111,7 +112,7 @@ impl ResolvedRequest {
                     && numbers.len() < self.arms[arm].n_samples
                     && room > 0
                     && ledger.lack_after(taken.aimed[own.bucket], own.bucket) > 0.0
-                    && !self.is_known(context, (arm, cell), (own, one, templates), taken)?;
+                    && !self.is_known(context, (arm, cell), (one, templates), taken)?;
                 if is_worth {
                     taken.aimed[own.bucket] += 1;
                     taken.templates.push((arm, cell, own, one.clone()));
@@ -126,41 +127,43 @@ impl ResolvedRequest {
         Ok(Some(None))
     }
 
-    /// Whether a template was tried, or its agents move as in one that was, or its event is like that of an accepted
-    /// scenario of the situation; those of the round count as both.
+    /// Whether the event of a template is like that of an accepted scenario of the situation, or its agents move as in
+    /// one that was accepted or was tried often enough; those of the round count as accepted.
     fn is_known(
         &self,
         context: &RoundContext<'_>,
         (arm, cell): (usize, usize),
-        (aim, shown, templates): (CellAim, &Shown, &Templates<'_>),
+        (shown, templates): (&Shown, &Templates<'_>),
         taken: &Taken,
     ) -> Result<bool, Error> {
         let ledger = context.ledger;
         let of_round: Vec<(usize, &EventValues)> =
             taken.templates.iter().filter_map(|(_, cell, _, shown)| Some((*cell, shown.event.as_ref()?))).collect();
-        if shown.event.as_ref().is_some_and(|event| ledger.has_like_event(cell, event, &of_round)) {
+        // Where the event is not known, what was tried counts as accepted.
+        let is_accepted =
+            |other: &Shown| other.event.as_ref().is_none_or(|event| ledger.has_like_event(cell, event, &of_round));
+        if shown.event.is_some() && is_accepted(shown) {
             return Ok(true);
         }
         let is_like = |other: &Shown| {
             let paths = other.path.as_ref().zip(shown.path.as_ref());
-            paths.is_some_and(|(other, own)| own.distance_m(other) < self.duplicate_distance_m)
+            paths.is_none_or(|(other, own)| own.distance_m(other) < self.duplicate_distance_m)
         };
-        let of_cell = taken.templates.iter().filter(|(its_arm, its_cell, ..)| (*its_arm, *its_cell) == (arm, cell));
-        let mut tried = of_cell.map(|(_, _, its, shown)| (its.solved_for, shown));
-        if tried.any(|(bucket, other)| (bucket, other.number) == (aim.solved_for, shown.number) || is_like(other)) {
+        let mut of_cell = taken.templates.iter().filter(|(its_arm, its_cell, ..)| (*its_arm, *its_cell) == (arm, cell));
+        if of_cell.any(|(_, _, _, other)| is_like(other)) {
             return Ok(true);
         }
-        for (its_arm, bucket, number) in &ledger.cells[cell].tried {
+        let mut n_tries = 0;
+        for ((its_arm, bucket, number), n) in &ledger.cells[cell].tried {
             if *its_arm != arm {
                 continue;
             }
             let others = templates(arm, cell, *bucket)?.unwrap_or_default();
-            let is_same = (*bucket, *number) == (aim.solved_for, shown.number);
-            if is_same || others.iter().any(|other| other.number == *number && is_like(other)) {
-                return Ok(true);
+            for other in others.iter().filter(|other| other.number == *number && is_like(other)) {
+                n_tries += if is_accepted(other) { N_TRIES } else { *n };
             }
         }
-        Ok(false)
+        Ok(n_tries >= N_TRIES)
     }
 }
 
@@ -185,7 +188,7 @@ mod tests {
     use crate::scene::{Roles, Scene};
     use candle_core::Device;
 
-    /// The gap is how far the second agent drifts to the right: in its templates 2, 4 and 6 m.
+    /// The gap is how far the second agent drifts to the right: about 2, 6 and 12 m in its templates.
     struct Drift;
 
     impl Behavior for Drift {
@@ -225,7 +228,7 @@ mod tests {
                 let place = |t: f64| Some(now.position + Vec2::new(0.0, -drift_m * (t / duration_s)));
                 Template::empty().with(scene, agents[1], place)
             };
-            [2.0, 4.0, 6.0].into_iter().filter_map(to).take(n).collect()
+            [2.0, 6.0, 12.0].into_iter().filter_map(to).take(n).collect()
         }
     }
 
@@ -234,7 +237,7 @@ mod tests {
         let config: GenerateConfig = toml::from_str(
             "[[arms]]\nname = 'template'\nclassifier_scope = 'none'\ntemplate = true\n[[requests]]\nname = 'r'\n\
              behavior = 'cut_in'\narms = ['template']\nper_bucket = 1\nbudget = { n_samples = 9 }\n\
-             buckets = { gap_m = [0, 3, 5] }",
+             buckets = { gap_m = [0, 3, 6] }",
         )
         .unwrap();
         let (behaviors, denoiser): ([Box<dyn Behavior>; 1], _) = ([Box::new(Drift)], denoiser(0));

@@ -442,24 +442,27 @@ fn a_round_aims_no_more_samples_at_a_bucket_than_will_probably_fill_it() {
     assert_eq!(n_cells, [1, 2, 2, 2], "three samples each");
 }
 
-#[test]
-fn templates_are_sampled_only_for_buckets_that_lack_what_they_show_and_each_motion_once() {
+/// A request whose samples follow templates.
+fn by_template() -> ResolvedRequest {
     let arms = "[[arms]]\nname = 'template'\nn_samples = 3\nclassifier_scope = 'none'\ntemplate = true\n";
     let more = "arms = ['template']\nper_bucket = 4\nbudget = { n_samples = 3000 }";
-    let request = resolve(&format!("{arms}{}", request(more))).requests.remove(0);
+    resolve(&format!("{arms}{}", request(more))).requests.remove(0)
+}
+
+/// A template in which one agent is at `x_m` in half a second.
+fn shown(number: usize, bucket: usize, x_m: f64, event: Option<EventValues>) -> Shown {
+    let path = serde_json::from_value(serde_json::json!({ "points": [[x_m, 0.0]], "n_agents": 1 })).unwrap();
+    Shown { number, bucket: Some(bucket), path, event }
+}
+
+#[test]
+fn templates_are_sampled_only_for_buckets_that_lack_what_they_show_and_each_motion_once() {
+    let request = by_template();
     let pool = pool(6);
     // Whatever the templates of a cell are solved for, they show these buckets; one moves almost as another.
-    let shown: Vec<Shown> = [(0, 0.0), (1, 10.0), (1, 10.2), (2, 20.0)]
-        .iter()
-        .enumerate()
-        .map(|(number, (bucket, x_m))| Shown {
-            number,
-            bucket: Some(*bucket),
-            path: serde_json::from_value(serde_json::json!({ "points": [[x_m, 0.0]], "n_agents": 1 })).unwrap(),
-            event: None,
-        })
-        .collect();
-    let templates = |_: usize, _: usize, _: usize| Ok(Some(shown.clone().into()));
+    let all = [(0, 0.0), (1, 10.0), (1, 10.2), (2, 20.0)];
+    let all: Vec<Shown> = (0..).zip(all).map(|(number, (bucket, x_m))| shown(number, bucket, x_m, None)).collect();
+    let templates = |_: usize, _: usize, _: usize| Ok(Some(all.clone().into()));
     let (rounds, tallies, mut ledger) = fulfil_with(&request, (&pool, Some(&templates)), 1, |_, _, _| None);
     assert_eq!(ledger.accepted, [4, 4, 4, 0]);
     // What fills three buckets, and at most one more of each: where every sample hits, 5 are expected to bring 4.
@@ -471,4 +474,23 @@ fn templates_are_sampled_only_for_buckets_that_lack_what_they_show_and_each_moti
     ledger.exhaust();
     assert!(ledger.is_closed() && ledger.is_given_up(3));
     assert_eq!(RequestSummary::new(&request, &pool, &ledger, rounds.len()).ended, Ended::GivenUp);
+}
+
+#[test]
+fn a_motion_that_was_not_accepted_is_sampled_once_more() {
+    let (request, pool) = (by_template(), pool(1));
+    let event: EventValues = serde_json::from_value(serde_json::json!({ "gap_m": 300 })).unwrap();
+    let templates = |_: usize, _: usize, _: usize| Ok(Some(vec![shown(0, 0, 0.0, Some(event.clone()))].into()));
+    let goes_on_after = |n_tallies: usize, accepted_events: Vec<EventValues>| {
+        let mut ledger = Ledger::new(&request, &pool);
+        let cell = CellTally { n_samples: 1, tried: vec![(0, 0)], accepted_events, ..CellTally::default() };
+        let tally = ShardTally { request: "tight".to_owned(), cells: vec![cell], ..ShardTally::default() };
+        (0..n_tallies).for_each(|_| ledger.add(&tally));
+        let (pool, ledger, templates) = (&pool, &ledger, Some(&templates as &Templates<'_>));
+        let context =
+            RoundContext { pool, ledger, round: 1, next_idx: 1, cells_per_shard: 4, seed: Seed(1), templates };
+        request.next_round(&context).unwrap().is_some()
+    };
+    assert_eq!([0, 1, 2].map(|n| goes_on_after(n, Vec::new())), [true, true, false]);
+    assert!(!goes_on_after(1, vec![event.clone()]));
 }
