@@ -2,8 +2,9 @@
 //!
 //! A request names buckets, arms and a budget ([`RequestConfig`]). Its arms become sweeps ([`ResolvedGeneration`]), a
 //! pool of scenes and pairs is fixed ([`Pool`]), and rounds of shards are decided one after the other ([`Round`]), each
-//! from the results of earlier rounds ([`Ledger`]). A decision depends only on the request, the seed and these counts,
-//! so that an interrupted run makes the same decisions again.
+//! from the results of earlier rounds ([`Ledger`]) and, where samples follow templates, from what these show by
+//! themselves ([`Shown`]). A decision depends only on the request, the seed, these counts and the scenes, so that an
+//! interrupted run makes the same decisions again.
 
 mod buckets;
 mod config;

@@ -99,8 +99,8 @@ impl RoundContext<'_> {
 }
 
 impl ResolvedRequest {
-    /// The next round. `None` when every bucket that can be filled is full, the budget is spent, or no cell has anything
-    /// more.
+    /// The next round. `None` when every bucket that can be filled is full, the budget is spent, or no cell has
+    /// anything more.
     ///
     /// # Errors
     /// When templates cannot be looked at.

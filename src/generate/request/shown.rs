@@ -92,7 +92,8 @@ impl Generator<'_> {
 
 impl ResolvedRequest {
     /// The cell with templates that are worth a sample: solved for the first of these buckets that has some, all of
-    /// them with events of one open bucket and none of them known. The outer `None` means that the arm has no templates, the inner one that the cell has no more of them.
+    /// them with events of one open bucket and none of them known. The outer `None` means that the arm has no
+    /// templates, the inner one that the cell has no more of them.
     pub(super) fn with_templates(
         &self,
         context: &RoundContext<'_>,

@@ -105,8 +105,8 @@ impl Rounds<'_> {
         Ok(Some((ledger, n_rounds)))
     }
 
-    /// The round as it was decided, without shards if the request has ended; decides it if it was not. `None` where that
-    /// cannot be done.
+    /// The round as it was decided, without shards if the request has ended; decides it if it was not. `None` where
+    /// that cannot be done.
     fn round(
         &self,
         request: &ResolvedRequest,
