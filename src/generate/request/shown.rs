@@ -24,7 +24,7 @@ pub struct Shown {
     /// Its number among those that are solved for the bucket.
     pub(super) number: usize,
     /// The bucket of its event; `None` if the template alone does not tell.
-    pub(super) bucket: Option<usize>,
+    pub(in crate::generate) bucket: Option<usize>,
     /// How the requested agents move in it.
     pub(super) path: Option<PairPath>,
     /// Its event.
@@ -175,86 +175,5 @@ impl Taken {
             aim.bucket == bucket && ledger.situation_of_cell.get(*other) == ledger.situation_of_cell.get(cell)
         });
         own.count() as u64
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::behavior::{Behavior, BehaviorEvent, EventLabel, Template};
-    use crate::generate::testing::{denoiser, load};
-    use crate::generate::{GenerateConfig, Models};
-    use crate::geometry::Vec2;
-    use crate::metrics::MetricSettings;
-    use crate::scene::{Roles, Scene};
-    use candle_core::Device;
-
-    /// The gap is how far the second agent drifts to the right: about 2, 6 and 12 m in its templates.
-    struct Drift;
-
-    impl Behavior for Drift {
-        fn id(&self) -> &'static str {
-            "cut_in"
-        }
-
-        fn roles(&self) -> &'static [&'static str] {
-            &["ego", "other"]
-        }
-
-        fn detect(&self, scene: &Scene) -> Vec<BehaviorEvent> {
-            let state = |timestep| scene.state(1, timestep).map(|state| state.position.y);
-            let ends = state(scene.current_timestep()).zip(state(scene.n_timesteps - 1));
-            let roles = (self.id(), self.roles());
-            let event = |(now, then): (f64, f64)| {
-                BehaviorEvent::new(roles, scene, EventLabel::Positive, &[0, 1], scene.n_history..=scene.n_timesteps - 1)
-                    .with("gap_m", now - then)
-            };
-            ends.map(event).into_iter().collect()
-        }
-
-        fn template_parameters(&self) -> &'static [&'static str] {
-            &["gap_m"]
-        }
-
-        fn templates(
-            &self,
-            scene: &Scene,
-            agents: &[usize],
-            _: &BTreeMap<String, [f64; 2]>,
-            n: usize,
-        ) -> Vec<Template> {
-            let now = *scene.state(agents[1], scene.current_timestep()).unwrap();
-            let duration_s = (scene.n_timesteps - scene.n_history) as f64 * scene.dt_s;
-            let to = |drift_m: f64| {
-                let place = |t: f64| Some(now.position + Vec2::new(0.0, -drift_m * (t / duration_s)));
-                Template::empty().with(scene, agents[1], place)
-            };
-            [2.0, 6.0, 12.0].into_iter().filter_map(to).take(n).collect()
-        }
-    }
-
-    #[test]
-    fn templates_show_the_bucket_of_their_event_and_those_of_none_are_left_out() {
-        let config: GenerateConfig = toml::from_str(
-            "[[arms]]\nname = 'template'\nclassifier_scope = 'none'\ntemplate = true\n[[requests]]\nname = 'r'\n\
-             behavior = 'cut_in'\narms = ['template']\nper_bucket = 1\nbudget = { n_samples = 9 }\n\
-             buckets = { gap_m = [0, 3, 6] }",
-        )
-        .unwrap();
-        let (behaviors, denoiser): ([Box<dyn Behavior>; 1], _) = ([Box::new(Drift)], denoiser(0));
-        let config = config.resolve(&behaviors).unwrap();
-        let models = Models { denoiser: &denoiser, classifiers: &[], distilled: None, baseline: None };
-        let generator =
-            Generator::new(&config, models, &behaviors, &load, MetricSettings::default(), &Device::Cpu).unwrap();
-        let scene = load(1).unwrap();
-        let roles: Roles = [("ego", 0), ("other", 1)]
-            .map(|(role, idx): (&str, usize)| (role.to_owned(), scene.tracks[idx].id.clone()))
-            .into_iter()
-            .collect();
-        let cell = Cell { scene_idx: 1, scene_id: scene.id, roles, targets: Vec::new() };
-        let shown = generator.shown(&config.requests[0], 0, &cell, 1).unwrap();
-        let buckets: Vec<_> = shown.iter().map(|shown| (shown.number, shown.bucket)).collect();
-        assert_eq!(buckets, [(0, Some(0)), (1, Some(1))]);
-        assert!(shown.iter().all(|shown| shown.path.is_some() && shown.event.is_some()));
     }
 }
