@@ -294,7 +294,9 @@ impl ResolvedRequest {
         for (cell, aim, own) in chosen {
             let targets = aim.map(|aim| self.buckets.target(aim.solved_for)).into_iter().collect();
             cells.push(Cell { targets, ..context.pool.cells[cell].clone() });
-            (members.push(cell), aims.push(aim), templates.extend(own));
+            members.push(cell);
+            aims.push(aim);
+            templates.extend(own);
         }
         let plan = ShardPlan { idx, sweep_idx: self.arms[arm].sweep_idx, cells, first_sample, templates };
         RoundShard { arm, members, aims, plan }

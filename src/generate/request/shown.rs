@@ -34,9 +34,11 @@ pub struct Shown {
 /// The templates of a cell by arm, cell and the bucket that they are solved for; `None` where an arm has none.
 pub type Templates<'a> = dyn Fn(usize, usize, usize) -> Result<Option<Arc<[Shown]>>, Error> + Sync + 'a;
 
-/// The templates of a request that were looked at.
+/// The templates of a request that were looked at, by arm, cell and bucket.
 #[derive(Debug, Default)]
-pub struct KnownTemplates(Mutex<BTreeMap<(usize, usize, usize), Arc<[Shown]>>>);
+pub struct KnownTemplates(Mutex<ByArmCellAndBucket>);
+
+type ByArmCellAndBucket = BTreeMap<(usize, usize, usize), Arc<[Shown]>>;
 
 impl KnownTemplates {
     /// Those of an arm, a cell and a bucket, which `find` lists if they are not known.

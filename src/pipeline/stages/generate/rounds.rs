@@ -225,6 +225,7 @@ impl RoundShards for Deciding<'_, '_> {
     }
 
     fn note_undecided(&mut self, next_idx: usize) -> Result<()> {
+        self.shards.expect_more(1);
         self.shards.look_up::<SampledShard>(next_idx).map(drop)
     }
 
