@@ -73,10 +73,11 @@ impl Conditioned {
 
 /// Which template a sample follows.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Variant {
-    pub(super) sample_idx: usize,
-    /// How many templates after the usual one of the sample.
-    pub(super) further: usize,
+pub(super) enum Variant {
+    /// The next one in turn, or one that comes so many `further`.
+    Usual { sample_idx: usize, further: usize },
+    /// The one with this number.
+    Planned(usize),
 }
 
 /// The templates of a cell that were solved so far, by target.
@@ -162,22 +163,27 @@ impl Generator<'_> {
     fn follow_template(
         &self,
         sweep: &ResolvedSweep,
-        (cell, Variant { sample_idx, further }): (&Cell, Variant),
+        (cell, variant): (&Cell, Variant),
         (recorded, scene): (&Scene, &mut Scene),
         templates: &mut Templates,
     ) -> Vec<(usize, Vec<State>)> {
         let Some(behavior) = self.behavior(sweep).filter(|_| sweep.uses_template()) else { return Vec::new() };
         let asked: Vec<usize> = cell.roles.tracks().filter_map(|track| recorded.track_idx(track)).collect();
-        // The number of earlier samples of the pair with this target.
-        let n_earlier = sample_idx / cell.targets.len().max(1);
-        let mut target = cell.target(sample_idx);
+        let (mut target, number, number_of_any) = match variant {
+            // The number of earlier samples of the pair with this target.
+            Variant::Usual { sample_idx, further } => {
+                let n_earlier = sample_idx / cell.targets.len().max(1);
+                (cell.target(sample_idx), n_earlier + further, sample_idx + further)
+            }
+            Variant::Planned(number) => (cell.target(0), number, number),
+        };
         target.retain(|name, _| behavior.template_parameters().contains(&name.as_str()));
         let planned = sweep.planned(recorded);
         let mut solved = |target: &Target, number: usize| {
             templates.get(target, number, |n| behavior.templates(&planned, &asked, target, n))
         };
-        let template = match solved(&target, n_earlier + further) {
-            None if !target.is_empty() => solved(&Target::new(), sample_idx + further),
+        let template = match solved(&target, number) {
+            None if !target.is_empty() => solved(&Target::new(), number_of_any),
             template => template,
         };
         let Some(template) = template else { return Vec::new() };
@@ -190,6 +196,31 @@ impl Generator<'_> {
             (agent_idx, further.iter().copied().flatten().collect())
         };
         performers.into_iter().map(follow).collect()
+    }
+
+    /// The first `n` templates of a cell at most, as [`Variant::Planned`] numbers them: each as a scene of the agents
+    /// that follow it and of those requested, of which the others do not go on after the present.
+    pub(super) fn templates_alone(&self, sweep: &ResolvedSweep, cell: &Cell, recorded: &Scene, n: usize) -> Vec<Scene> {
+        let Some(behavior) = self.behavior(sweep).filter(|_| sweep.uses_template()) else { return Vec::new() };
+        let asked: Vec<usize> = cell.roles.tracks().filter_map(|track| recorded.track_idx(track)).collect();
+        let mut target = cell.target(0);
+        target.retain(|name, _| behavior.template_parameters().contains(&name.as_str()));
+        let planned = sweep.planned(recorded);
+        let mut templates = behavior.templates(&planned, &asked, &target, n);
+        if templates.is_empty() && !target.is_empty() {
+            templates = behavior.templates(&planned, &asked, &Target::new(), n);
+        }
+        let past = planned.lasting(planned.n_history).lasting(planned.n_timesteps);
+        let alone = |template: Template| {
+            let mut agents: Vec<usize> = template.agents().chain(asked.iter().copied()).collect();
+            agents.sort_unstable();
+            agents.dedup();
+            let mut scene = past.clone();
+            template.apply(&mut scene);
+            let tracks = agents.into_iter().map(|idx| scene.tracks[idx].clone()).collect();
+            Scene { tracks, ego_idx: 0, ..scene }
+        };
+        templates.into_iter().map(alone).collect()
     }
 
     /// The target states of some samples of a cell, among the states that `base` generates in row `row`.

@@ -50,9 +50,10 @@ pub use pair_selection::{PairRanking, PairSelectionConfig};
 pub use plan::{Plan, ShardPlan, Shortfall, held_out_in_order};
 pub use regenerate::SampleKey;
 pub use request::{
-    Arm, ArmSummary, BucketPart, BucketSummary, Buckets, BudgetConfig, CellTally, Divisions, Ended, EventValues, Hits,
-    Ledger, Limit, LimitRange, PlacedScenario, PlanKind, Pool, RequestConfig, RequestSummary, Requirement,
-    ResolvedGeneration, ResolvedRequest, Round, RoundContext, RoundShard, ShardTally, Yield,
+    Arm, ArmSummary, BucketPart, BucketSummary, Buckets, BudgetConfig, CellAim, CellTally, Divisions, Ended,
+    EventValues, Hits, KnownTemplates, Ledger, Limit, LimitRange, PlacedScenario, PlanKind, Pool, RequestConfig,
+    RequestSummary, Requirement, ResolvedGeneration, ResolvedRequest, Round, RoundContext, RoundShard, ShardTally,
+    Shown, Templates, Yield,
 };
 pub use rollout::{NamedDriver, SweepRollout, check_times};
 pub use sample::{RejectedSample, Rejection, ShardOutput};

@@ -31,6 +31,10 @@ pub struct ShardPlan {
     pub cells: Vec<Cell>,
     /// The number of the first sample of each cell: 0 except for requests, which return to their cells.
     pub first_sample: usize,
+    /// By cell: the numbers of the templates that it is sampled with, each once. Empty: every cell has as many samples
+    /// as the sweep says, whose templates come in turn.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub templates: Vec<Vec<usize>>,
 }
 
 /// A sweep for which there were too few scenes.
@@ -55,7 +59,13 @@ impl ShardPlan {
     /// Number of samples.
     pub fn n_samples(&self, config: &ResolvedGeneration) -> usize {
         let sweep = &config.sweeps[self.sweep_idx];
-        self.cells.len() * sweep.levels().len() * sweep.n_samples
+        let of_cells: usize = (0..self.cells.len()).map(|at| self.n_samples_of(at, sweep.n_samples)).sum();
+        of_cells * sweep.levels().len()
+    }
+
+    /// Number of samples at each level of the cell at this place, where the sweep says `usual`.
+    pub(super) fn n_samples_of(&self, at: usize, usual: usize) -> usize {
+        self.templates.get(at).map_or(usual, Vec::len)
     }
 }
 
@@ -91,7 +101,13 @@ impl Generator<'_> {
             let mut scenes = scenes.into_iter().peekable();
             while scenes.peek().is_some() {
                 let cells = scenes.by_ref().take(self.config.scenes_per_shard).flatten().collect();
-                plan.shards.push(ShardPlan { idx: plan.shards.len(), sweep_idx, cells, first_sample: 0 });
+                plan.shards.push(ShardPlan {
+                    idx: plan.shards.len(),
+                    sweep_idx,
+                    cells,
+                    first_sample: 0,
+                    templates: Vec::new(),
+                });
             }
         }
         Ok(plan)

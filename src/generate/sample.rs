@@ -73,8 +73,9 @@ impl Given {
         &own[(sample_idx - self.first_sample).min(own.len() - 1)]
     }
 
-    fn repeats(&self, cell: usize, sample_idx: usize) -> bool {
-        self.of(cell, sample_idx).repeats
+    /// Whether a sample with a template repeats another; `None` if the cell has no such sample.
+    fn repeats(&self, cell: usize, sample_idx: usize) -> Option<bool> {
+        self.of_cells[cell].get(sample_idx - self.first_sample).map(|given| given.repeats)
     }
 }
 
@@ -132,10 +133,11 @@ impl Generator<'_> {
             }
             for (at, own) in sampled.iter_mut().enumerate() {
                 let all = shard.first_sample..shard.first_sample + sweep.n_samples;
-                let repeated = all.filter(|sample_idx| given.repeats(at, *sample_idx)).map(|sample_idx| {
-                    progress.advance(1);
-                    Sampled { level, sample_idx, draw: Err(Rejection::RepeatedTemplate) }
-                });
+                let repeated =
+                    all.filter(|sample_idx| given.repeats(at, *sample_idx) == Some(true)).map(|sample_idx| {
+                        progress.advance(1);
+                        Sampled { level, sample_idx, draw: Err(Rejection::RepeatedTemplate) }
+                    });
                 own.extend(repeated);
             }
         }
@@ -167,8 +169,15 @@ impl Generator<'_> {
     /// The conditioning of the samples of each cell of a shard.
     fn given(&self, sweep: &ResolvedSweep, shard: &ShardPlan, scenes: &[Scene]) -> Result<Given, Error> {
         let n_own = if sweep.uses_template() { sweep.n_samples } else { 1 };
-        let of_cells = shard.cells.iter().zip(scenes).map(|(cell, scene)| {
+        let of_cells = shard.cells.iter().zip(scenes).enumerate().map(|(at, (cell, scene))| {
             let agents = agents(cell, scene)?;
+            if let Some(planned) = shard.templates.get(at) {
+                let mut templates = Templates::new(planned.iter().max().map_or(0, |last| last + 1));
+                let with = |number: &usize| {
+                    self.condition(sweep, cell, scene, agents, Variant::Planned(*number), &mut templates)
+                };
+                return planned.iter().map(with).collect();
+            }
             let own = shard.first_sample..shard.first_sample + n_own;
             let mut before = Before { templates: Templates::new(own.end + N_FURTHER), ..Before::default() };
             own.map(|sample_idx| self.condition_anew(sweep, (cell, scene), agents, sample_idx, &mut before)).collect()
@@ -187,18 +196,19 @@ impl Generator<'_> {
         before: &mut Before,
     ) -> Result<Conditioned, Error> {
         let Before { templates, paths } = before;
-        let mut variant = Variant { sample_idx, further: 0 };
+        let mut further = 0;
         loop {
+            let variant = Variant::Usual { sample_idx, further };
             let mut given = self.condition(sweep, cell, scene, agents, variant, templates)?;
             let Some(path) = given.path(&cell.roles) else { return Ok(given) };
             given.repeats = paths.iter().any(|other| other.distance_m(&path) < self.config.duplicate_distance_m);
             if !given.repeats {
                 paths.push(path);
             }
-            if !given.repeats || variant.further == N_FURTHER {
+            if !given.repeats || further == N_FURTHER {
                 return Ok(given);
             }
-            variant.further += 1;
+            further += 1;
         }
     }
 
@@ -212,7 +222,8 @@ impl Generator<'_> {
         let mut batches = Vec::new();
         if sweep.uses_template() {
             for sample in start..start + n_samples {
-                let order: Vec<usize> = order.iter().copied().filter(|at| !given.repeats(*at, sample)).collect();
+                let is_sampled = |at: &usize| given.repeats(*at, sample) == Some(false);
+                let order: Vec<usize> = order.iter().copied().filter(is_sampled).collect();
                 batches.extend(order.chunks(batch_size).map(|members| (members.to_vec(), sample..sample + 1)));
             }
             return batches;

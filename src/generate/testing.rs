@@ -38,7 +38,7 @@ impl Behavior for Drift {
         for first in 0..scene.tracks.len() {
             for second in (0..scene.tracks.len()).filter(|second| *second != first) {
                 let ends = lateral(second, scene.current_timestep()).zip(lateral(second, scene.n_timesteps - 1));
-                if ends.is_some_and(|(now, then)| then < now - 1.0) {
+                if let Some((now, then)) = ends.filter(|(now, then)| *then < now - 1.0) {
                     events.push(BehaviorEvent {
                         behavior: self.id().to_owned(),
                         scene_id: scene.id.clone(),
@@ -49,7 +49,7 @@ impl Behavior for Drift {
                             .collect(),
                         start_timestep: scene.n_history,
                         end_timestep: scene.n_timesteps - 1,
-                        parameters: BTreeMap::new(),
+                        parameters: BTreeMap::from([("gap_m".to_owned(), now - then)]),
                     });
                 }
             }

@@ -134,11 +134,6 @@ impl Buckets {
         self.dimensions.iter().zip(self.part_indices(bucket)).filter_map(interval).collect()
     }
 
-    /// The bucket that has this target, of those that a cell reaches: places and tags are no targets.
-    pub(super) fn with_target(&self, target: &Target, reached: &[usize]) -> Option<usize> {
-        reached.iter().copied().find(|bucket| self.target(*bucket) == *target)
-    }
-
     /// Whether an outcome can lie in a bucket, judged by the parameters of the bucket that it has.
     pub(super) fn allows(&self, bucket: usize, outcome: &Outcome) -> bool {
         self.dimensions.iter().zip(self.part_indices(bucket)).all(|((name, divisions), part)| {
@@ -255,8 +250,5 @@ mod tests {
         let reached = buckets.of_scene(&scene(&[Drive::straight(0.0, 0.0, 0.0, 5.0)]));
         assert_eq!(reached, [2, 6]);
         assert_eq!(buckets.ranges(6), "gap_m 5..10, junction none, place Test");
-        // Where buckets have one target, the one counts that can be reached.
-        let target = buckets.target(4);
-        assert_eq!(buckets.with_target(&target, &reached), Some(6));
     }
 }

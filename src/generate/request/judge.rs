@@ -112,7 +112,7 @@ impl Generator<'_> {
 impl ResolvedRequest {
     /// The parameters in which two accepted scenarios of one situation must differ: those of its buckets, and those
     /// that templates of the behavior are solved for.
-    fn told_apart_by(&self, behavior: Option<&dyn Behavior>) -> Vec<String> {
+    pub(super) fn told_apart_by(&self, behavior: Option<&dyn Behavior>) -> Vec<String> {
         let solved = behavior.map_or(&[][..], Behavior::template_parameters);
         self.config.buckets.keys().cloned().chain(solved.iter().map(|name| (*name).to_owned())).collect()
     }
@@ -136,18 +136,20 @@ impl ResolvedRequest {
         ledger: &Ledger,
         placed: &[PlacedScenario],
     ) -> (ShardTally, Vec<RequestTag>) {
-        let n_samples = self.arms[shard.arm].n_samples;
-        let cell_tally = |(cell, planned): (&usize, &Cell)| CellTally {
-            cell: *cell,
-            aimed: planned
-                .targets
-                .first()
-                .and_then(|target| self.buckets.with_target(target, &ledger.cells[*cell].reaches)),
-            n_samples: n_samples as u64,
-            next_sample: shard.plan.first_sample + n_samples,
-            ..CellTally::default()
+        let cell_tally = |(at, cell): (usize, &usize)| {
+            let n_samples = shard.plan.n_samples_of(at, self.arms[shard.arm].n_samples);
+            let aim = shard.aims.get(at).copied().flatten();
+            let numbers = shard.plan.templates.get(at).into_iter().flatten();
+            CellTally {
+                cell: *cell,
+                aimed: aim.map(|aim| aim.bucket),
+                tried: aim.map_or_else(Vec::new, |aim| numbers.map(|number| (aim.solved_for, *number)).collect()),
+                n_samples: n_samples as u64,
+                next_sample: shard.plan.first_sample + n_samples,
+                ..CellTally::default()
+            }
         };
-        let mut cells: Vec<CellTally> = shard.members.iter().zip(&shard.plan.cells).map(cell_tally).collect();
+        let mut cells: Vec<CellTally> = shard.members.iter().enumerate().map(cell_tally).collect();
         let mut accepted = Accepted { by_bucket: ledger.accepted.clone(), paths: Vec::new(), events: Vec::new() };
         let mut tags = Vec::new();
         for scenario in placed {
@@ -302,8 +304,8 @@ mod tests {
             n_infeasible: 0,
             unmet: None,
         };
-        let plan = ShardPlan { idx: 0, sweep_idx: 0, cells: cells.to_vec(), first_sample: 0 };
-        let shard = RoundShard { arm: 0, members: (0..cells.len()).collect(), plan };
+        let plan = ShardPlan { idx: 0, sweep_idx: 0, cells: cells.to_vec(), first_sample: 0, templates: Vec::new() };
+        let shard = RoundShard { arm: 0, members: (0..cells.len()).collect(), aims: vec![None; cells.len()], plan };
         let tally = generator.judge((request, 0), (&pool, &shard), &Ledger::new(request, &pool), &mut records)?;
         Ok((records.iter().map(|record| record.request.as_ref().unwrap().outcome).collect(), tally.cells))
     }

@@ -40,6 +40,9 @@ pub struct CellTally {
     /// The bucket that they aimed at.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub aimed: Option<usize>,
+    /// The templates that they followed, each as the bucket it is solved for and its number.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub tried: Vec<(usize, usize)>,
     /// The number after that of the last sample.
     pub next_sample: usize,
     /// Samples that show the behavior with the requested agents.
@@ -109,7 +112,9 @@ pub(super) struct Aimed {
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub(super) struct CellCounts {
     /// The buckets that it can reach.
-    pub(super) reaches: Vec<usize>,
+    reaches: Vec<usize>,
+    /// How many samples followed each template, by its arm, the bucket it is solved for and its number.
+    pub(super) tried: BTreeMap<(usize, usize, usize), u64>,
     /// Samples by arm.
     pub(super) n_samples: Vec<u64>,
     pub(super) next_sample: usize,
@@ -137,6 +142,8 @@ pub struct Ledger {
     fruitless: Vec<u64>,
     /// Whether buckets are given up at all.
     gives_up: bool,
+    /// Whether no cell has anything more for an open bucket.
+    is_exhausted: bool,
     /// Samples and evaluations spent while a bucket was not full.
     pub(super) spent_while_open: Vec<(u64, u64)>,
     pub(super) arms: Vec<ArmCounts>,
@@ -149,7 +156,7 @@ pub struct Ledger {
     paths: PathIndex,
     duplicate_distance_m: f64,
     /// The situation of each cell, and the events and the number of accepted scenarios by bucket in each of them.
-    situation_of_cell: Vec<usize>,
+    pub(super) situation_of_cell: Vec<usize>,
     situations: Vec<SituationCounts>,
     /// By bucket: the number of cells that may still have something for it.
     n_open: Vec<usize>,
@@ -189,6 +196,7 @@ impl Ledger {
             accepted: vec![0; n_buckets],
             fruitless: vec![0; n_buckets],
             gives_up: request.config.plan == PlanKind::Adaptive,
+            is_exhausted: false,
             spent_while_open: vec![(0, 0); n_buckets],
             arms: vec![counts.clone(); n_arms],
             first_round: vec![counts; n_arms],
@@ -230,6 +238,9 @@ impl Ledger {
                     *situation.by_bucket.entry(*bucket).or_default() += hits.n_accepted;
                 }
             }
+            for (bucket, number) in &cell.tried {
+                *counts.tried.entry((tally.arm, *bucket, *number)).or_default() += 1;
+            }
             counts.n_samples[tally.arm] += cell.n_samples;
             counts.next_sample = counts.next_sample.max(cell.next_sample);
             if let Some(fruitless) = cell.aimed.and_then(|bucket| self.fruitless.get_mut(bucket)) {
@@ -261,7 +272,7 @@ impl Ledger {
 
     /// Closes cells of the situation of this one to buckets for which they have nothing more.
     fn close_exhausted(&mut self, cell: usize) {
-        let most_aimed = N_USUAL_HITS / self.usual_rate(|_| true);
+        let most_aimed = N_USUAL_HITS / self.usual_rate();
         let Self { situations, cells, n_open, max_per_scene, .. } = self;
         let Some(situation) = self.situation_of_cell.get(cell).map(|idx| &situations[*idx]) else { return };
         for cell in &situation.cells {
@@ -282,7 +293,21 @@ impl Ledger {
 
     /// Whether a bucket lacks scenarios but was given up.
     pub fn is_given_up(&self, bucket: usize) -> bool {
-        self.gives_up && self.lacks(bucket) && (self.fruitless[bucket] >= N_FRUITLESS || self.n_open[bucket] == 0)
+        let is_barren = self.is_exhausted || self.fruitless[bucket] >= N_FRUITLESS || self.n_open[bucket] == 0;
+        self.gives_up && self.lacks(bucket) && is_barren
+    }
+
+    /// Gives up what is open: the last round was tried, although there is more to spend.
+    pub fn exhaust(&mut self) {
+        self.is_exhausted = true;
+    }
+
+    /// How many more scenarios an open bucket takes from the situation of a cell, which may reach it without having
+    /// been expected to.
+    pub(super) fn room_for(&self, cell: usize, bucket: usize) -> u64 {
+        let is_closed = self.cells[cell].reaches.contains(&bucket) && !self.is_open_to(cell, bucket);
+        let most = if is_closed || !self.is_open(bucket) { 0 } else { self.max_per_scene };
+        most.saturating_sub(self.accepted_of_cell(cell, bucket))
     }
 
     /// Whether a bucket is open, and a cell may have something for it.
@@ -293,15 +318,25 @@ impl Ledger {
     /// The number of scenarios that an open bucket probably lacks after this many more samples that aim at it.
     pub(super) fn lack_after(&self, n_aimed: u64, bucket: usize) -> f64 {
         let n_lacking = self.wanted[bucket] - self.accepted[bucket];
-        n_lacking as f64 - self.usual_rate(|other| other == bucket) * n_aimed as f64
+        // As two samples at the rate of all buckets: what is not known of this one.
+        let of_bucket = self.aimed(|other| other == bucket);
+        let rate = (2.0 * self.usual_rate() + of_bucket.n_hits as f64) / (2.0 + of_bucket.n_samples as f64);
+        n_lacking as f64 - rate * n_aimed as f64
     }
 
-    /// The share of samples that fall into the bucket that they aim at, among those that aim at these buckets, by
-    /// Laplace's rule of succession.
-    fn usual_rate(&self, is_counted: impl Fn(usize) -> bool) -> f64 {
-        let aimed = (0..self.arms.len()).map(|arm| self.aimed_of_arm(arm, &is_counted));
-        let (n_samples, n_hits) = aimed.fold((0, 0), |sum, arm| (sum.0 + arm.n_samples, sum.1 + arm.n_hits));
+    /// The share of samples that fall into the bucket that they aim at, by Laplace's rule of succession.
+    fn usual_rate(&self) -> f64 {
+        let Aimed { n_samples, n_hits } = self.aimed(|_| true);
         (1 + n_hits) as f64 / (2 + n_samples) as f64
+    }
+
+    /// Samples that aimed at these buckets.
+    fn aimed(&self, is_counted: impl Fn(usize) -> bool) -> Aimed {
+        let arms = (0..self.arms.len()).map(|arm| self.aimed_of_arm(arm, &is_counted));
+        arms.fold(Aimed::default(), |sum, arm| Aimed {
+            n_samples: sum.n_samples + arm.n_samples,
+            n_hits: sum.n_hits + arm.n_hits,
+        })
     }
 
     fn lacks(&self, bucket: usize) -> bool {

@@ -2,8 +2,9 @@
 //!
 //! A request names buckets, arms and a budget ([`RequestConfig`]). Its arms become sweeps ([`ResolvedGeneration`]), a
 //! pool of scenes and pairs is fixed ([`Pool`]), and rounds of shards are decided one after the other ([`Round`]), each
-//! from the results of earlier rounds ([`Ledger`]). A decision depends only on the request, the seed and these counts,
-//! so that an interrupted run makes the same decisions again.
+//! from the results of earlier rounds ([`Ledger`]) and, where samples follow templates, from what these show by
+//! themselves ([`Shown`]). A decision depends only on the request, the seed, these counts and the scenes, so that an
+//! interrupted run makes the same decisions again.
 
 mod buckets;
 mod config;
@@ -16,6 +17,7 @@ mod limits;
 mod pool;
 mod resolve;
 mod rounds;
+mod shown;
 mod summary;
 #[cfg(test)]
 mod tests;
@@ -28,5 +30,6 @@ pub use ledger::{CellTally, Hits, Ledger, ShardTally};
 pub use limits::{Limit, LimitRange};
 pub use pool::Pool;
 pub use resolve::{Arm, ResolvedGeneration, ResolvedRequest};
-pub use rounds::{Round, RoundContext, RoundShard};
+pub use rounds::{CellAim, Round, RoundContext, RoundShard};
+pub use shown::{KnownTemplates, Shown, Templates};
 pub use summary::{ArmSummary, BucketSummary, Ended, RequestSummary, Yield};

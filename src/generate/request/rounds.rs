@@ -5,7 +5,8 @@ use super::draws::{beta, gamma};
 use super::ledger::Ledger;
 use super::pool::Pool;
 use super::resolve::{Arm, ResolvedRequest};
-use crate::generate::ShardPlan;
+use super::shown::{Shown, Templates};
+use crate::generate::{Cell, Error, ShardPlan};
 use crate::seed::Seed;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -41,12 +42,26 @@ pub struct RoundShard {
     pub arm: usize,
     /// The places of its cells in the pool.
     pub members: Vec<usize>,
+    /// What each of them aims at, if it does.
+    pub aims: Vec<Option<CellAim>>,
     /// The samples to draw.
     pub plan: ShardPlan,
 }
 
+/// What the samples of a cell aim at.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+pub struct CellAim {
+    /// The bucket that they are expected to fall into.
+    pub bucket: usize,
+    /// The bucket for which their templates, or objectives, are solved.
+    pub solved_for: usize,
+}
+
+/// A cell of a shard: its place in the pool, its aim, and the templates that its samples follow if they are chosen.
+pub(super) type Member = (usize, Option<CellAim>, Option<Vec<usize>>);
+
 /// The basis for the decision on the next round, beside the request.
-#[derive(Debug, Clone, Copy)]
+#[derive(Clone, Copy)]
 pub struct RoundContext<'a> {
     /// The cells.
     pub pool: &'a Pool,
@@ -60,14 +75,18 @@ pub struct RoundContext<'a> {
     pub cells_per_shard: usize,
     /// The run's seed.
     pub seed: Seed,
+    /// The templates of cells. `None`: samples follow those of their cell in turn.
+    pub templates: Option<&'a Templates<'a>>,
 }
 
 /// What earlier shards of a round take.
-struct Taken {
+pub(super) struct Taken {
     /// By cell: the number after that of its last sample.
     next_sample: BTreeMap<usize, usize>,
     /// By bucket: the samples that aim at it.
-    aimed: Vec<u64>,
+    pub(super) aimed: Vec<u64>,
+    /// The templates that they follow: each with its arm, its cell, its aim and what it shows.
+    pub(super) templates: Vec<(usize, usize, CellAim, Shown)>,
 }
 
 impl RoundContext<'_> {
@@ -80,41 +99,57 @@ impl RoundContext<'_> {
 }
 
 impl ResolvedRequest {
-    /// The next round. `None` when every bucket that can be filled is full, or the budget is spent.
-    pub fn next_round(&self, context: &RoundContext<'_>) -> Option<Round> {
+    /// The next round. `None` when every bucket that can be filled is full, the budget is spent, or no cell has
+    /// anything more.
+    ///
+    /// # Errors
+    /// When templates cannot be looked at.
+    pub fn next_round(&self, context: &RoundContext<'_>) -> Result<Option<Round>, Error> {
         let RoundContext { ledger, round, .. } = *context;
         if ledger.is_closed() || context.pool.cells.is_empty() {
-            return None;
+            return Ok(None);
         }
         let mut spent = ledger.spent();
         let mut shards: Vec<RoundShard> = Vec::new();
-        let mut taken = Taken { next_sample: BTreeMap::new(), aimed: vec![0; self.buckets.len()] };
-        for slot in 0..self.n_slots(round) {
-            let arm_idx = self.choose_arm(context, slot);
+        let aimed = vec![0; self.buckets.len()];
+        let mut taken = Taken { next_sample: BTreeMap::new(), aimed, templates: Vec::new() };
+        // Arms without a cell for any open bucket.
+        let mut barren = vec![false; self.arms.len()];
+        let mut slot = 0;
+        while slot < self.n_slots(round) {
+            let Some(arm_idx) = self.choose_arm(context, slot, &barren) else { break };
             let arm = &self.arms[arm_idx];
-            let n_samples = arm.n_samples as u64;
-            let affordable = self.config.budget.samples_left(spent, arm.n_evaluations) / n_samples;
+            let affordable = self.config.budget.samples_left(spent, arm.n_evaluations) / arm.n_samples as u64;
             let n_cells = context.cells_per_shard.min(affordable as usize).min(context.pool.cells.len());
             if n_cells == 0 {
                 break;
             }
             let idx = context.next_idx + shards.len();
-            let aims = self.choose_cells(context, slot, (idx, arm, n_cells), &mut taken);
-            if aims.is_empty() {
-                break;
+            let members = self.choose_cells(context, slot, (idx, arm_idx, n_cells), &mut taken)?;
+            if members.is_empty() {
+                // The first round and the grid go on with the next arm; otherwise the slot falls to another one.
+                barren[arm_idx] = true;
+                slot += usize::from(round == 0 || self.config.plan == PlanKind::Even);
+                continue;
             }
-            let members: Vec<usize> = aims.iter().map(|(cell, _)| *cell).collect();
-            let n_planned = n_samples * members.len() as u64;
+            slot += 1;
+            let shard = self.shard(context, (idx, arm_idx), members, &taken);
+            let n_of = |at: usize| shard.plan.n_samples_of(at, arm.n_samples);
+            let n_planned = (0..shard.members.len()).map(n_of).sum::<usize>() as u64;
             spent = (spent.0 + n_planned, spent.1 + n_planned * arm.n_evaluations);
-            let plan = self.shard(context, (idx, arm), &aims, &taken);
-            let next_sample = plan.first_sample + arm.n_samples;
-            for cell in &members {
+            for (at, cell) in shard.members.iter().enumerate() {
                 let next = taken.next_sample.entry(*cell).or_default();
-                *next = next_sample.max(*next);
+                *next = (*next).max(shard.plan.first_sample + n_of(at));
             }
-            shards.push(RoundShard { arm: arm_idx, plan, members });
+            shards.push(shard);
         }
-        (!shards.is_empty()).then(|| Round { request: self.config.name.clone(), round, shards })
+        Ok((!shards.is_empty()).then(|| Round { request: self.config.name.clone(), round, shards }))
+    }
+
+    /// Whether the budget allows no shard of any arm after what is spent.
+    pub fn has_spent(&self, spent: (u64, u64)) -> bool {
+        let is_left = |arm: &Arm| self.config.budget.samples_left(spent, arm.n_evaluations) >= arm.n_samples as u64;
+        !self.arms.iter().any(is_left)
     }
 
     /// The number of shards of a round; the first tries every arm once, all on the same cells.
@@ -122,13 +157,14 @@ impl ResolvedRequest {
         if round == 0 { self.arms.len() } else { self.config.shards_per_round }
     }
 
-    fn choose_arm(&self, context: &RoundContext<'_>, slot: usize) -> usize {
+    /// The arm of a shard; `None` if all of those that learn from results are `barren`.
+    fn choose_arm(&self, context: &RoundContext<'_>, slot: usize, barren: &[bool]) -> Option<usize> {
         let RoundContext { ledger, round, .. } = *context;
         if round == 0 {
-            return slot;
+            return Some(slot);
         }
         if self.config.plan == PlanKind::Even {
-            return self.even_shard(round, slot) % self.arms.len();
+            return Some(self.even_shard(round, slot) % self.arms.len());
         }
         let seed = self.slot_seed(context, slot);
         let draw = |arm: usize| {
@@ -138,7 +174,7 @@ impl ResolvedRequest {
         };
         let draws: Vec<f64> = (0..self.arms.len()).map(draw).collect();
         // The first among equal ones.
-        (0..draws.len()).rev().max_by(|a, b| draws[*a].total_cmp(&draws[*b])).unwrap_or(0)
+        (0..draws.len()).rev().filter(|arm| !barren[*arm]).max_by(|a, b| draws[*a].total_cmp(&draws[*b]))
     }
 
     /// The posterior of how often a sample of an arm falls into an open bucket: Beta of these hits and misses,
@@ -158,28 +194,36 @@ impl ResolvedRequest {
         }
     }
 
-    /// The cells of a shard, each with the bucket that it aims at, if the arm aims.
+    /// The cells of a shard, each with its aim, if the arm aims.
     fn choose_cells(
         &self,
         context: &RoundContext<'_>,
         slot: usize,
-        (idx, arm, n_cells): (usize, &Arm, usize),
+        (idx, arm, n_cells): (usize, usize, usize),
         taken: &mut Taken,
-    ) -> Vec<(usize, Option<usize>)> {
-        let RoundContext { pool, ledger, round, .. } = *context;
+    ) -> Result<Vec<Member>, Error> {
+        let RoundContext { pool, round, .. } = *context;
         let n = pool.cells.len();
-        let aim = |cell: usize, taken: &mut Taken| {
-            let bucket = self.aim(context, (idx, cell), &taken.aimed).filter(|_| arm.aims)?;
-            taken.aimed[bucket] += arm.n_samples as u64;
-            Some(bucket)
-        };
-        if round == 0 {
-            return (0..n_cells).map(|cell| (cell, aim(cell, taken))).collect();
-        }
-        if self.config.plan == PlanKind::Even {
+        if self.config.plan == PlanKind::Even && round > 0 {
             let first = self.even_shard(round, slot) / self.arms.len() * context.cells_per_shard;
-            return (0..n_cells).map(|i| (first + i) % n).map(|cell| (cell, aim(cell, taken))).collect();
+            return self.members(context, (idx, arm), (0..n_cells).map(|i| (first + i) % n), taken).collect();
         }
+        if round == 0 {
+            return self.members(context, (idx, arm), 0..n_cells, taken).collect();
+        }
+        let order = self.cells_in_order(context, slot, taken);
+        let is_aimed = |member: &Member| member.1.is_some() || !self.arms[arm].aims;
+        let members = self.members(context, (idx, arm), order.into_iter(), taken);
+        let mut chosen: Vec<Member> =
+            members.filter(|member| member.as_ref().map_or(true, is_aimed)).take(n_cells).collect::<Result<_, _>>()?;
+        chosen.sort_unstable();
+        Ok(chosen)
+    }
+
+    /// Cells that reach an open bucket, in the order in which they are tried in this slot.
+    fn cells_in_order(&self, context: &RoundContext<'_>, slot: usize, taken: &Taken) -> Vec<usize> {
+        let RoundContext { pool, ledger, .. } = *context;
+        let n = pool.cells.len();
         // The hits of a cell are modeled as Poisson: the rates of the arms that were tried on it, times its
         // suitability. The suitability is drawn from its posterior.
         let n_arms = self.arms.len();
@@ -197,10 +241,7 @@ impl ResolvedRequest {
         let mut order: Vec<(bool, f64, usize)> =
             useful.map(|(cell, ease)| (taken.next_sample.contains_key(&cell), draw(cell) * ease, cell)).collect();
         order.sort_by(|a, b| a.0.cmp(&b.0).then(b.1.total_cmp(&a.1)).then(a.2.cmp(&b.2)));
-        let chosen = order.into_iter().map(|(_, _, cell)| (cell, aim(cell, taken)));
-        let mut chosen: Vec<_> = chosen.filter(|(_, aim)| aim.is_some() || !arm.aims).take(n_cells).collect();
-        chosen.sort_unstable();
-        chosen
+        order.into_iter().map(|(_, _, cell)| cell).collect()
     }
 
     /// The index of this shard of an even plan, over all rounds.
@@ -208,33 +249,63 @@ impl ResolvedRequest {
         if round == 0 { slot } else { self.arms.len() + (round - 1) * self.config.shards_per_round + slot }
     }
 
+    /// These cells with their aims and, where they are known, with templates, without those that have none.
+    fn members<'a>(
+        &'a self,
+        context: &'a RoundContext<'a>,
+        (idx, arm): (usize, usize),
+        cells: impl Iterator<Item = usize> + 'a,
+        taken: &'a mut Taken,
+    ) -> impl Iterator<Item = Result<Member, Error>> + 'a {
+        let Arm { aims, n_samples, .. } = self.arms[arm];
+        let templates = context.templates.filter(|_| aims && self.config.plan == PlanKind::Adaptive);
+        cells.filter_map(move |cell| {
+            let in_order = if aims { self.aims(context, (idx, cell), &taken.aimed) } else { Vec::new() };
+            if let Some(templates) = templates {
+                match self.with_templates(context, (arm, cell), (&in_order, templates), taken) {
+                    Ok(Some(member)) => return member.map(Ok),
+                    Ok(None) => {}
+                    Err(error) => return Some(Err(error)),
+                }
+            }
+            let aim = in_order.first().map(|bucket| CellAim { bucket: *bucket, solved_for: *bucket });
+            if let Some(aim) = aim {
+                taken.aimed[aim.bucket] += n_samples as u64;
+            }
+            Some(Ok((cell, aim, None)))
+        })
+    }
+
     /// A shard of new samples. In the first round all arms share their noise, so that they can be compared; afterwards
     /// no noise is used twice in a scene.
     fn shard(
         &self,
         context: &RoundContext<'_>,
-        (idx, arm): (usize, &Arm),
-        aims: &[(usize, Option<usize>)],
+        (idx, arm): (usize, usize),
+        chosen: Vec<Member>,
         taken: &Taken,
-    ) -> ShardPlan {
-        let next = |(cell, _): &(usize, _)| {
+    ) -> RoundShard {
+        let next = |(cell, ..): &Member| {
             let in_round = taken.next_sample.get(cell).copied().unwrap_or_default();
             context.ledger.cells[*cell].next_sample.max(in_round)
         };
-        let first_sample = if context.round == 0 { 0 } else { aims.iter().map(next).max().unwrap_or(0) };
-        let cells = aims.iter().map(|(cell, bucket)| {
-            let mut own = context.pool.cells[*cell].clone();
-            if let Some(bucket) = bucket {
-                own.targets = vec![self.buckets.target(*bucket)];
-            }
-            own
-        });
-        ShardPlan { idx, sweep_idx: arm.sweep_idx, cells: cells.collect(), first_sample }
+        let first_sample = if context.round == 0 { 0 } else { chosen.iter().map(next).max().unwrap_or(0) };
+        let (mut members, mut aims, mut cells, mut templates) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+        for (cell, aim, own) in chosen {
+            let targets = aim.map(|aim| self.buckets.target(aim.solved_for)).into_iter().collect();
+            cells.push(Cell { targets, ..context.pool.cells[cell].clone() });
+            members.push(cell);
+            aims.push(aim);
+            templates.extend(own);
+        }
+        let plan = ShardPlan { idx, sweep_idx: self.arms[arm].sweep_idx, cells, first_sample, templates };
+        RoundShard { arm, members, aims, plan }
     }
 
-    /// The bucket at which the samples of a cell aim: an open one that the cell reaches easily, and that lacks many
-    /// scenarios beyond those that `aimed` samples of the round will probably bring. `None` if those will fill it.
-    fn aim(&self, context: &RoundContext<'_>, (shard, cell): (usize, usize), aimed: &[u64]) -> Option<usize> {
+    /// The buckets at which the samples of a cell may aim, the best one first: open ones that the cell reaches easily,
+    /// and that lack many scenarios beyond those that `aimed` samples of the round will probably bring. None that those
+    /// will fill.
+    fn aims(&self, context: &RoundContext<'_>, (shard, cell): (usize, usize), aimed: &[u64]) -> Vec<usize> {
         let RoundContext { ledger, .. } = *context;
         let lack = |bucket: usize| ledger.lack_after(aimed[bucket], bucket);
         let draw = |bucket: usize| {
@@ -242,8 +313,10 @@ impl ResolvedRequest {
             seed.derive("aim", &[shard as u64, cell as u64, bucket as u64]).rng().uniform()
         };
         let open = context.open_buckets(cell).filter(|(bucket, _)| lack(*bucket) > 0.0);
-        let open = open.map(|(bucket, ease)| (ease * (lack(bucket) + draw(bucket)), bucket));
-        open.max_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, bucket)| bucket)
+        let mut open: Vec<(f64, usize)> =
+            open.map(|(bucket, ease)| (ease * (lack(bucket) + draw(bucket)), bucket)).collect();
+        open.sort_by(|a, b| b.0.total_cmp(&a.0).then(b.1.cmp(&a.1)));
+        open.into_iter().map(|(_, bucket)| bucket).collect()
     }
 
     fn slot_seed(&self, context: &RoundContext<'_>, slot: usize) -> Seed {

@@ -101,7 +101,7 @@ pub struct BucketSummary {
     pub parts: Vec<BucketPart>,
     /// Pairs of agents that can reach it; 0: nothing was spent on it.
     pub n_feasible: usize,
-    /// Whether it was given up: many samples aimed at it in a row, and none was accepted.
+    /// Whether it was given up: many samples aimed at it in a row, and none was accepted, or no pair has more for it.
     pub is_given_up: bool,
     /// Scenarios requested.
     pub n_wanted: u64,

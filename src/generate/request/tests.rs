@@ -66,19 +66,33 @@ pub(super) fn fulfil(
     seed: u64,
     hit: impl Fn(usize, usize, usize) -> Option<usize>,
 ) -> (Vec<Round>, Vec<ShardTally>, Ledger) {
+    fulfil_with(request, (pool, None), seed, hit)
+}
+
+/// The same with these templates, which bring what they show.
+fn fulfil_with(
+    request: &ResolvedRequest,
+    (pool, templates): (&Pool, Option<&Templates<'_>>),
+    seed: u64,
+    hit: impl Fn(usize, usize, usize) -> Option<usize>,
+) -> (Vec<Round>, Vec<ShardTally>, Ledger) {
     let mut ledger = Ledger::new(request, pool);
     let (mut rounds, mut tallies, mut next_idx) = (Vec::new(), Vec::new(), 0);
     loop {
+        let round = rounds.len();
         let context =
-            RoundContext { pool, ledger: &ledger, round: rounds.len(), next_idx, cells_per_shard: 4, seed: Seed(seed) };
-        let Some(round) = request.next_round(&context) else { break };
+            RoundContext { pool, ledger: &ledger, round, next_idx, cells_per_shard: 4, seed: Seed(seed), templates };
+        let Some(round) = request.next_round(&context).unwrap() else { break };
         for shard in &round.shards {
-            let n_samples = request.arms[shard.arm].n_samples;
             let mut accepted = ledger.accepted.clone();
-            let cells = shard.members.iter().zip(&shard.plan.cells).map(|(cell, planned)| {
+            let cells = shard.members.iter().zip(&shard.aims).enumerate().map(|(at, (cell, aim))| {
+                let n_samples = shard.plan.n_samples_of(at, request.arms[shard.arm].n_samples);
+                let planned = shard.plan.templates.get(at).map(|numbers| aim.map(|aim| (aim, numbers)).unwrap());
+                let hit = |sample| planned.map_or_else(|| hit(shard.arm, *cell, sample), |(aim, _)| Some(aim.bucket));
+                let tried = planned.map(|(aim, numbers)| numbers.iter().map(move |number| (aim.solved_for, *number)));
                 let first = shard.plan.first_sample;
                 let mut hits: BTreeMap<usize, Hits> = BTreeMap::new();
-                for bucket in (first..first + n_samples).filter_map(|sample| hit(shard.arm, *cell, sample)) {
+                for bucket in (first..first + n_samples).filter_map(hit) {
                     let own = hits.entry(bucket).or_default();
                     let is_wanted = accepted[bucket] < ledger.wanted[bucket];
                     if is_wanted && ledger.accepted_of_cell(*cell, bucket) + own.n_accepted < ledger.max_per_scene {
@@ -93,10 +107,8 @@ pub(super) fn fulfil(
                 CellTally {
                     cell: *cell,
                     n_samples: n_samples_drawn,
-                    aimed: planned
-                        .targets
-                        .first()
-                        .and_then(|target| request.buckets.with_target(target, &ledger.cells[*cell].reaches)),
+                    aimed: aim.map(|aim| aim.bucket),
+                    tried: tried.into_iter().flatten().collect(),
                     next_sample: first + n_samples,
                     n_found,
                     hits,
@@ -182,9 +194,16 @@ fn decisions_follow_from_the_seed_and_the_finished_shards() {
         let mut ledger = Ledger::new(&request, &pool);
         tallies.iter().filter(|tally| tally.round < n_done).for_each(|tally| ledger.add(tally));
         let next_idx = rounds[..n_done].iter().map(|round| round.shards.len()).sum();
-        let context =
-            RoundContext { pool: &pool, ledger: &ledger, round: n_done, next_idx, cells_per_shard: 4, seed: Seed(1) };
-        assert_eq!(request.next_round(&context).as_ref(), Some(&rounds[n_done]));
+        let context = RoundContext {
+            pool: &pool,
+            ledger: &ledger,
+            round: n_done,
+            next_idx,
+            cells_per_shard: 4,
+            seed: Seed(1),
+            templates: None,
+        };
+        assert_eq!(request.next_round(&context).unwrap().as_ref(), Some(&rounds[n_done]));
     }
     let indices: Vec<usize> = rounds.iter().flat_map(|round| round.shards.iter().map(|shard| shard.plan.idx)).collect();
     assert_eq!(indices, (0..indices.len()).collect::<Vec<_>>());
@@ -259,9 +278,16 @@ fn an_arm_that_misses_the_open_bucket_is_left_for_one_that_hits_what_it_aims_at(
     // One arm has now and then hit the open bucket, the other has not been tried on it.
     add(0, 3, 1000, Hits { n_accepted: 2, ..Hits::default() });
     (0..3).for_each(|bucket| add(1, bucket, 30, Hits { n_accepted: 5, n_surplus: 22, ..Hits::default() }));
-    let context =
-        RoundContext { pool: &pool, ledger: &ledger, round: 1, next_idx: 4, cells_per_shard: 4, seed: Seed(1) };
-    let round = request.next_round(&context).unwrap();
+    let context = RoundContext {
+        pool: &pool,
+        ledger: &ledger,
+        round: 1,
+        next_idx: 4,
+        cells_per_shard: 4,
+        seed: Seed(1),
+        templates: None,
+    };
+    let round = request.next_round(&context).unwrap().unwrap();
     assert!(round.shards.len() > 1 && round.shards.iter().all(|shard| shard.arm == 1), "{round:?}");
 }
 
@@ -401,13 +427,70 @@ fn a_round_aims_no_more_samples_at_a_bucket_than_will_probably_fill_it() {
     let hits = BTreeMap::from([(0, Hits { n_accepted: 1, n_surplus: 29, ..Hits::default() })]);
     let cell = CellTally { n_samples: 60, aimed: Some(0), hits, ..CellTally::default() };
     ledger.add(&ShardTally { request: "tight".to_owned(), cells: vec![cell], ..ShardTally::default() });
-    let context =
-        RoundContext { pool: &pool, ledger: &ledger, round: 1, next_idx: 1, cells_per_shard: 4, seed: Seed(1) };
-    let round = request.next_round(&context).unwrap();
+    let context = RoundContext {
+        pool: &pool,
+        ledger: &ledger,
+        round: 1,
+        next_idx: 1,
+        cells_per_shard: 4,
+        seed: Seed(1),
+        templates: None,
+    };
+    let round = request.next_round(&context).unwrap().unwrap();
     let mut n_cells = [0; 4];
-    for cell in round.shards.iter().flat_map(|shard| &shard.plan.cells) {
-        let reached: Vec<usize> = (0..4).collect();
-        n_cells[request.buckets.with_target(&cell.targets[0], &reached).unwrap()] += 1;
-    }
+    round.shards.iter().flat_map(|shard| &shard.aims).for_each(|aim| n_cells[aim.unwrap().bucket] += 1);
     assert_eq!(n_cells, [1, 2, 2, 2], "three samples each");
+}
+
+/// A request whose samples follow templates.
+fn by_template() -> ResolvedRequest {
+    let arms = "[[arms]]\nname = 'template'\nn_samples = 3\nclassifier_scope = 'none'\ntemplate = true\n";
+    let more = "arms = ['template']\nper_bucket = 4\nbudget = { n_samples = 3000 }";
+    resolve(&format!("{arms}{}", request(more))).requests.remove(0)
+}
+
+/// A template in which one agent is at `x_m` in half a second.
+fn shown(number: usize, bucket: usize, x_m: f64, event: Option<EventValues>) -> Shown {
+    let path = serde_json::from_value(serde_json::json!({ "points": [[x_m, 0.0]], "n_agents": 1 })).unwrap();
+    Shown { number, bucket: Some(bucket), path, event }
+}
+
+#[test]
+fn templates_are_sampled_only_for_buckets_that_lack_what_they_show_and_each_motion_once() {
+    let request = by_template();
+    let pool = pool(6);
+    // Whatever the templates of a cell are solved for, they show these buckets; one moves almost as another.
+    let all = [(0, 0.0), (1, 10.0), (1, 10.2), (2, 20.0)];
+    let all: Vec<Shown> = (0..).zip(all).map(|(number, (bucket, x_m))| shown(number, bucket, x_m, None)).collect();
+    let templates = |_: usize, _: usize, _: usize| Ok(Some(all.clone().into()));
+    let (rounds, tallies, mut ledger) = fulfil_with(&request, (&pool, Some(&templates)), 1, |_, _, _| None);
+    assert_eq!(ledger.accepted, [4, 4, 4, 0]);
+    // What fills three buckets, and at most one more of each: where every sample hits, 5 are expected to bring 4.
+    assert!((12..=15).contains(&ledger.spent().0), "{:?}", ledger.spent());
+    let tried = tallies.iter().flat_map(|tally| &tally.cells).flat_map(|cell| &cell.tried);
+    assert!(tried.clone().all(|(_, number)| *number != 2) && tried.count() as u64 == ledger.spent().0);
+    // Nothing shows bucket 3: it is given up although the budget lasts.
+    assert!(!ledger.is_closed() && !request.has_spent(ledger.spent()));
+    ledger.exhaust();
+    assert!(ledger.is_closed() && ledger.is_given_up(3));
+    assert_eq!(RequestSummary::new(&request, &pool, &ledger, rounds.len()).ended, Ended::GivenUp);
+}
+
+#[test]
+fn a_motion_that_was_not_accepted_is_sampled_once_more() {
+    let (request, pool) = (by_template(), pool(1));
+    let event: EventValues = serde_json::from_value(serde_json::json!({ "gap_m": 300 })).unwrap();
+    let templates = |_: usize, _: usize, _: usize| Ok(Some(vec![shown(0, 0, 0.0, Some(event.clone()))].into()));
+    let goes_on_after = |n_tallies: usize, accepted_events: Vec<EventValues>| {
+        let mut ledger = Ledger::new(&request, &pool);
+        let cell = CellTally { n_samples: 1, tried: vec![(0, 0)], accepted_events, ..CellTally::default() };
+        let tally = ShardTally { request: "tight".to_owned(), cells: vec![cell], ..ShardTally::default() };
+        (0..n_tallies).for_each(|_| ledger.add(&tally));
+        let (pool, ledger, templates) = (&pool, &ledger, Some(&templates as &Templates<'_>));
+        let context =
+            RoundContext { pool, ledger, round: 1, next_idx: 1, cells_per_shard: 4, seed: Seed(1), templates };
+        request.next_round(&context).unwrap().is_some()
+    };
+    assert_eq!([0, 1, 2].map(|n| goes_on_after(n, Vec::new())), [true, true, false]);
+    assert!(!goes_on_after(1, vec![event.clone()]));
 }

@@ -1,6 +1,7 @@
 //! Do classifier and objectives act as the sweep configures, alone and together, and does the provenance record it?
 
 use super::*;
+use crate::behavior::BehaviorConfig;
 use crate::diffusion::SamplerConfig;
 use crate::metrics::MetricSettings;
 use crate::scenario::ScenarioRecord;
@@ -217,5 +218,35 @@ fn what_would_repeat_the_template_of_another_sample_is_not_sampled() {
         assert_eq!(generator.regenerate(shard, key).unwrap().unwrap().scenario, output.records[0].scenario);
         let repeated = SampleKey { sample_idx: key.sample_idx + 1, ..key };
         assert!(generator.regenerate(shard, repeated).unwrap().is_none());
+        // Where a plan names templates, each cell has a sample for each.
+        let planned = ShardPlan { templates: vec![vec![0]; shard.cells.len() - 1], ..shard.clone() };
+        let planned = ShardPlan { templates: [planned.templates, vec![Vec::new()]].concat(), ..planned };
+        let output = generator.generate(&planned, &Silent).unwrap();
+        let counts = (planned.n_samples(generator.config), output.records.len(), output.rejected.len());
+        assert_eq!(counts, (shard.cells.len() - 1, shard.cells.len() - 1, 0));
+        let again = generator.regenerate(&planned, key).unwrap().unwrap();
+        assert_eq!(again.scenario, output.records[key.cell].scenario);
     });
+}
+
+#[test]
+fn templates_show_the_bucket_of_their_event_and_those_of_none_are_left_out() {
+    let asked = "behavior = 'drift'\n    classifier_scope = 'none'\n    template = true";
+    let templates = SWEEPS.replace("behavior = 'drift'", asked).replace("strengths = [0.0, 3.0]", "");
+    let shown = |edges: &str| {
+        let request = "[[arms]]\nname = 'a'\n[[requests]]\nname = 'r'\nbehavior = 'cut_in'\narms = ['a']\n\
+                       per_bucket = 1\nbudget = { n_samples = 9 }\nbuckets";
+        let config_of_request: GenerateConfig = toml::from_str(&format!("{request} = {{ gap_m = {edges} }}")).unwrap();
+        let cut_in = BehaviorConfig::from_id("cut_in").unwrap().build();
+        let mut request = config_of_request.resolve(&[cut_in]).unwrap().requests.remove(0);
+        request.arms[0].sweep_idx = 1;
+        with_generator(&config(&templates), 0, |generator| {
+            let plan = generator.plan(&index(12)).unwrap();
+            let shown = |bucket| generator.shown(&request, 0, &plan.shards.last().unwrap().cells[0], bucket).unwrap();
+            [0, 1].iter().flat_map(|bucket| shown(*bucket)).map(|shown| shown.bucket).collect::<Vec<_>>()
+        })
+    };
+    // The agent drifts by most of 3 m and a quarter of the sum of the target's ends.
+    assert_eq!(shown("[0, 4, 20]"), [Some(0), Some(1)]);
+    assert_eq!(shown("[0, 0.5, 1]"), []);
 }

@@ -12,7 +12,8 @@ use super::sharded::{GenerationPlan, SampledShard};
 use crate::engine::shards::{Gathering, Shards};
 use crate::engine::{Failure, Result};
 use crate::generate::{
-    Ledger, Pool, RequestSummary, ResolvedGeneration, ResolvedRequest, Round, RoundContext, RoundShard, ShardTally,
+    KnownTemplates, Ledger, Pool, RequestSummary, ResolvedGeneration, ResolvedRequest, Round, RoundContext, RoundShard,
+    ShardTally,
 };
 use crate::progress::{Progress, Silent};
 use crate::scenario::RequestTag;
@@ -21,7 +22,7 @@ use std::path::Path;
 
 /// Samples the shards of requests, round by round, until all requests are fulfilled or a shard is given up.
 pub(super) fn make(plan: &GenerationPlan, ready: &Ready<'_>, shards: &Shards<'_>) -> Result<()> {
-    let rounds = Rounds { resolved: ready.resolved, dir: shards.dir(), progress: shards.progress };
+    let rounds = Rounds { resolved: ready.resolved, ready: Some(ready), dir: shards.dir(), progress: shards.progress };
     let mut next_idx = plan.sweeps.shards.len();
     for (request, pool) in ready.resolved.requests.iter().zip(&plan.pools) {
         shards.progress.start(&format!("request {}", request.config.name), 0, "samples");
@@ -39,6 +40,9 @@ trait RoundShards {
     /// Announces a round before its shards are requested one by one.
     fn begin(&mut self, of: (&ResolvedRequest, &Pool), round: &Round) -> Result<()>;
 
+    /// Notes that the round from this shard on must be decided first.
+    fn note_undecided(&mut self, next_idx: usize) -> Result<()>;
+
     /// The tally of a shard of the round with this number, when `ledger` holds all earlier ones; `None` if it is
     /// missing.
     fn tally(
@@ -50,9 +54,11 @@ trait RoundShards {
     ) -> Result<Option<ShardTally>>;
 }
 
-/// The rounds of requests; rounds without a file are decided.
+/// The rounds of requests.
 struct Rounds<'a> {
     resolved: &'a ResolvedGeneration,
+    /// Decides rounds without a file; `None`: the next round is the first without one.
+    ready: Option<&'a Ready<'a>>,
     /// The folder of the decided rounds.
     dir: &'a Path,
     progress: &'a dyn Progress,
@@ -69,7 +75,15 @@ impl Rounds<'_> {
     ) -> Result<Option<(Ledger, usize)>> {
         let mut ledger = Ledger::new(request, pool);
         let mut n_rounds = 0;
-        while let Some(round) = self.round(request, (pool, &ledger), n_rounds, *next_idx)? {
+        let known = KnownTemplates::default();
+        loop {
+            let Some(round) = self.round(request, (pool, &ledger), (n_rounds, *next_idx), &known)? else {
+                shards.note_undecided(*next_idx)?;
+                return Ok(None);
+            };
+            if round.shards.is_empty() {
+                break;
+            }
             shards.begin((request, pool), &round)?;
             for shard in &round.shards {
                 // Whether the rest of a round is needed depends on its earlier shards, which are the same in every
@@ -85,21 +99,33 @@ impl Rounds<'_> {
             *next_idx += round.shards.len();
             n_rounds += 1;
         }
+        if !ledger.is_closed() && !request.has_spent(ledger.spent()) {
+            ledger.exhaust();
+        }
         Ok(Some((ledger, n_rounds)))
     }
 
-    /// The round as it was decided; decides it if it was not.
+    /// The round as it was decided, without shards if the request has ended; decides it if it was not. `None` where
+    /// that cannot be done.
     fn round(
         &self,
         request: &ResolvedRequest,
         (pool, ledger): (&Pool, &Ledger),
-        round: usize,
-        next_idx: usize,
+        (round, next_idx): (usize, usize),
+        known: &KnownTemplates,
     ) -> Result<Option<Round>> {
         if let Some(decided) = read_round(self.dir, request.idx, round)? {
             return Ok(Some(decided));
         }
+        let Some(Ready { generator, .. }) = self.ready else { return Ok(None) };
         let config = self.resolved;
+        let templates = |arm: usize, cell: usize, bucket: usize| {
+            if !config.sweeps[request.arms[arm].sweep_idx].uses_template() {
+                return Ok(None);
+            }
+            let find = || generator.shown(request, arm, &pool.cells[cell], bucket);
+            known.get((arm, cell, bucket), find).map(Some)
+        };
         let decided = request.next_round(&RoundContext {
             pool,
             ledger,
@@ -107,11 +133,12 @@ impl Rounds<'_> {
             next_idx,
             cells_per_shard: config.scenes_per_shard,
             seed: Seed(config.seed),
-        });
-        if let Some(decided) = &decided {
-            write_round(self.dir, request.idx, decided)?;
-        }
-        Ok(decided)
+            templates: Some(&templates),
+        })?;
+        let end = || Round { request: request.config.name.clone(), round, shards: Vec::new() };
+        let decided = decided.unwrap_or_else(end);
+        write_round(self.dir, request.idx, &decided)?;
+        Ok(Some(decided))
     }
 }
 
@@ -126,6 +153,10 @@ impl RoundShards for Sampling<'_> {
     /// shards.
     fn begin(&mut self, of: (&ResolvedRequest, &Pool), round: &Round) -> Result<()> {
         if self.shards.has_others() { self.complete(of, &round.shards).map(drop) } else { Ok(()) }
+    }
+
+    fn note_undecided(&mut self, _: usize) -> Result<()> {
+        Ok(())
     }
 
     fn tally(
@@ -169,7 +200,7 @@ pub(super) fn gather(
     shards: &mut Gathering<'_>,
 ) -> Result<(Vec<DecidedShard>, Vec<RequestSummary>)> {
     let dir = shards.dir().to_owned();
-    let rounds = Rounds { resolved, dir: &dir, progress: &Silent };
+    let rounds = Rounds { resolved, ready: None, dir: &dir, progress: &Silent };
     let mut next_idx = plan.sweeps.shards.len();
     let mut deciding = Deciding { shards, done: Vec::new() };
     let mut summaries = Vec::new();
@@ -191,6 +222,11 @@ impl RoundShards for Deciding<'_, '_> {
     fn begin(&mut self, _: (&ResolvedRequest, &Pool), round: &Round) -> Result<()> {
         self.shards.expect_more(round.shards.len());
         Ok(())
+    }
+
+    fn note_undecided(&mut self, next_idx: usize) -> Result<()> {
+        self.shards.expect_more(1);
+        self.shards.look_up::<SampledShard>(next_idx).map(drop)
     }
 
     fn tally(
