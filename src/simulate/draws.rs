@@ -58,7 +58,7 @@ impl Drive<'_> {
         };
         let agents: Vec<usize> = (0..self.world.n_tracks()).filter(is_sampled).collect();
         // Whose part in the event has ended stays in the lane to which it has come.
-        let settling: &[usize] = if is_continued { &situation.planned } else { &[] };
+        let settling = is_continued.then_some(situation.planned.as_slice());
         let stream = self.world.stream(futures.seed());
         let draw = |name: &str| -> Result<Result<Scene, UnfitScene>> {
             let sampled = futures.sample(&Continued { scene: &scene, mask: &mask, center_idx, name, step: now })?;

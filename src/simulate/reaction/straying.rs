@@ -1,5 +1,6 @@
 //! Slow vehicles are rare in recordings of fast roads. After an event that has slowed them down, the model turns many
 //! of them across the road; some of those that have changed lanes it drives on over the edge.
+//! And it lets most vehicles drift aside, and many that have begun to change lanes ride on the line.
 
 use super::{at_stations, future, replace, stations};
 use crate::behavior::way_on::{CAUGHT_S, SETTLES_S, aligned_rad, way_on};
@@ -13,14 +14,20 @@ use crate::simulate::situation::Situation;
 const ALONG_RAD: f64 = 0.2;
 const ACROSS_RAD: f64 = 0.4;
 const STRIDE: usize = 3;
+/// Who ends within about half a lane of where it would in the middle of its own, meters, keeps that lane; who moves
+/// aside with more than this speed already, m/s, if it ends within the second distance.
+const KEEPS_M: f64 = 1.8;
+const MOVES_ASIDE_MPS: f64 = 0.3;
+const KEEPS_IF_MOVING_M: f64 = 0.9;
 
-/// Keeps those of `agents` in their lanes, as fast as they are, that stray across them in the future of this scene, and
-/// those of `settling` that drive along a lane, whatever they do.
+/// Keeps those of `agents` in their lanes, as fast as they are, that stray across them in the future of this scene. With
+/// agents that are `settling`, also those of them that drive along a lane, whatever they do, and everybody who does not
+/// leave its own.
 pub(in crate::simulate) fn keep_to_lanes(
     situation: &Situation,
     scene: &mut Scene,
     agents: &[usize],
-    settling: &[usize],
+    settling: Option<&[usize]>,
 ) {
     let is_along = |state: &State, most_rad: f64| situation.across_lanes_rad(state).is_none_or(|rad| rad <= most_rad);
     let is_off = |state: &State| situation.off_road_m(state).is_some_and(|off_m| off_m > OFF_ROAD_SLACK_M);
@@ -32,14 +39,18 @@ pub(in crate::simulate) fn keep_to_lanes(
             || !is_off(now) && later().any(is_off);
         let settles = || {
             let in_lane = is_along(now, ALONG_RAD) && situation.across_lanes_rad(now).is_some();
-            in_lane && settling.contains(&agent_idx)
+            in_lane && settling.is_some()
         };
         let within_s = match strays {
             true => CAUGHT_S,
             false if settles() => SETTLES_S,
             false => continue,
         };
-        if let Some(kept) = along_lane(scene, agent_idx, &own, within_s) {
+        let Some(kept) = along_lane(scene, agent_idx, &own, within_s) else { continue };
+        let aside_mps = situation.across_lanes_rad(now).map_or(0.0, |rad| now.speed_mps() * rad.sin());
+        let keeps_m = if aside_mps > MOVES_ASIDE_MPS { KEEPS_IF_MOVING_M } else { KEEPS_M };
+        let stays = || own.last().zip(kept.last()).is_some_and(|(a, b)| a.position.distance(b.position) < keeps_m);
+        if strays || settling.is_some_and(|settling| settling.contains(&agent_idx)) || stays() {
             replace(scene, agent_idx, &kept);
         }
     }
@@ -77,9 +88,9 @@ mod tests {
     use crate::simulate::testing::record;
     use std::sync::Arc;
 
-    /// Where and in which direction an agent ends that drives along x with 4 m/s and is sampled to turn by 0.7 rad, on
-    /// a map with these lanes.
-    fn ends(lanes: &[[[f64; 2]; 2]], settling: &[usize]) -> (Vec2, f64) {
+    /// Where and in which direction an agent ends that drives along x with 4 m/s and is sampled to turn by this, radians,
+    /// on a map with these lanes.
+    fn ends(lanes: &[[[f64; 2]; 2]], turn_rad: f64, settling: Option<&[usize]>) -> (Vec2, f64) {
         let lane = |(i, [a, b]): (usize, &[[f64; 2]; 2])| {
             let center = Polyline([a, b].map(|[x, y]| Vec2::new(*x, *y)).to_vec());
             Lane::unconnected(i as i64, center, [Polyline::default(), Polyline::default()])
@@ -102,7 +113,7 @@ mod tests {
             scene.clone()
         };
         let situation = Situation::without_event("lanes", drive(0.0), 0, None).unwrap();
-        let mut sampled = drive(0.7);
+        let mut sampled = drive(turn_rad);
         keep_to_lanes(&situation, &mut sampled, &[0], settling);
         let last = sampled.state(0, sampled.n_timesteps - 1).unwrap();
         (last.position, last.heading_rad)
@@ -112,14 +123,18 @@ mod tests {
     fn who_turns_across_the_lanes_is_kept_in_its_own_and_who_takes_another_is_not() {
         let road = [[-50.0, 0.0], [100.0, 0.0]];
         let beside = [[-50.0, 3.5], [100.0, 3.5]];
-        let (at, heading_rad) = ends(&[road, beside], &[]);
+        let (at, heading_rad) = ends(&[road, beside], 0.7, None);
         assert!(at.y.abs() < 0.35 && heading_rad.abs() < 0.1 && (at.x - 12.0).abs() < 0.5, "{at:?} {heading_rad}");
         // A lane that leads off, in the direction of the turn.
         let forked = [road, [[1.0, 0.0], [1.0 + 20.0 * 0.7_f64.cos(), 20.0 * 0.7_f64.sin()]]];
-        let (turned, heading_rad) = ends(&forked, &[]);
+        let (turned, heading_rad) = ends(&forked, 0.7, Some(&[]));
         assert!(turned.y > 3.0 && (heading_rad - 0.7).abs() < 1e-9, "{turned:?}");
         // Whose part in an event has ended takes no other.
-        let (settled, _) = ends(&forked, &[0]);
+        let (settled, _) = ends(&forked, 0.7, Some(&[0]));
         assert!(settled.y.abs() < 0.35 && (settled.x - 12.0).abs() < 0.5, "{settled:?}");
+        // In a continued scenario, who drifts by a meter comes back to the middle, and who takes the next lane does so.
+        let drifts = |turn_rad: f64, settling| ends(&[road, beside], turn_rad, settling).0.y;
+        assert!(drifts(0.08, None) > 0.9 && drifts(0.08, Some(&[])) < 0.1);
+        assert!((drifts(0.3, Some(&[])) - drifts(0.3, None)).abs() < 1e-9 && drifts(0.3, None) > 2.5);
     }
 }
