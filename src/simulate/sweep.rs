@@ -266,21 +266,19 @@ mod tests {
         let [_, logged, _] = rolled_out_from(guided, NamedDriver::Log, [3.0, 3.0], 1);
         let (before, after, ego_idx) =
             (&sampled.scenario.scene, &logged.scenario.scene, sampled.subject_idx().unwrap());
-        // The other has come over by 0.375 m, as seen from the ego at present, three timesteps before the event begins.
-        let (other_idx, began) = (
-            before.track_idx(sampled.events[0].roles.track("other").unwrap()).unwrap(),
-            sampled.events[0].start_timestep - 3,
-        );
-        let ego = before.state(ego_idx, 9).unwrap();
-        let aside_m = |timestep: usize| {
-            let place = before.state(other_idx, timestep).unwrap().position - ego.position;
-            place.rotated(-ego.heading_rad).y.abs()
-        };
+        let n = before.n_timesteps;
+        // Three timesteps before the event begins, the other has come over to the ego's path, straight on, by 0.375 m.
+        let other_idx = before.track_idx(sampled.events[0].roles.track("other").unwrap()).unwrap();
+        let began = sampled.events[0].start_timestep - 3;
+        let mut path: Vec<_> = (9..n).map(|timestep| before.state(ego_idx, timestep).unwrap().position).collect();
+        path.push(path[path.len() - 1] + before.state(ego_idx, n - 1).unwrap().velocity * 5.0);
+        let path = crate::geometry::Polyline(path);
+        let aside_m =
+            |timestep: usize| path.project(before.state(other_idx, timestep).unwrap().position).unwrap().offset_m.abs();
         let over_m = |timestep: usize| (9..timestep).map(aside_m).fold(0.0, f64::max) - aside_m(timestep);
         assert!(over_m(began - 1) < WANDERING_M + 0.05 && over_m(began) > WANDERING_M - 0.05);
         let answers = began + 8;
         let same = |idx: usize, timestep: usize| before.state(idx, timestep) == after.state(idx, timestep);
-        let n = before.n_timesteps;
         assert_eq!((0..n).find(|timestep| !same(ego_idx, *timestep)), (answers < n).then_some(answers));
         assert!((0..before.tracks.len()).all(|idx| idx == ego_idx || (0..n).all(|timestep| same(idx, timestep))));
     }
