@@ -20,9 +20,10 @@ use crate::store::{SceneStore, as_stored};
 use std::sync::Arc;
 
 /// How long after the event begins, or somebody has come closer to its way by this, meters, its ego answers, seconds: as
-/// the careful driver of UN R157.
+/// the careful driver of UN R157; and no sooner after it begins than anybody could.
 const REACTS_S: f64 = 0.75;
 const WANDERING_M: f64 = 0.375;
+const SOONEST_S: f64 = 0.3;
 
 /// Drives on the scenarios of a shard that show the requested behavior, or all if none is requested; arrivals are those
 /// of places in `store`. A scenario whose ego has no way stays as it is, and one without a future is rejected.
@@ -125,8 +126,9 @@ fn answers_from(record: &ScenarioRecord, situation: &Situation) -> usize {
         })
     };
     let began = situation.planned.iter().filter_map(comes_over).min();
-    let n_reacts = (REACTS_S / scene.dt_s).round() as usize;
-    began.map_or(event.start_timestep, |began| began.min(event.start_timestep)) + n_reacts
+    let [n_reacts, n_soonest] = [REACTS_S, SOONEST_S].map(|s| (s / scene.dt_s).round() as usize);
+    let seen = began.map_or(event.start_timestep, |began| began.min(event.start_timestep));
+    (seen + n_reacts).max(event.start_timestep + n_soonest)
 }
 
 /// Leaves out the states of an agent from a timestep on.
