@@ -127,11 +127,11 @@ fn guided_by_objectives<T>(
     let (wished, rules) = (sum(&asked.objectives), rules_of_traffic(sweep));
     let rules = sum(&rules);
     let modes = guided.repeated.surroundings.as_ref();
-    let wishing = CleanGuidedDenoiser { inner, potential: &wished, strength, gate: asked.gate, modes };
+    let wishing = CleanGuidedDenoiser { inner, potential: &wished, strength, gate: asked.gate, to_mode: true, modes };
     let inner: &dyn Denoiser = if has_objectives { &wishing } else { inner };
     if validity_strength == 0.0 {
         return sample(inner);
     }
     let (strength, gate) = (validity_strength, GuidanceConfig::default());
-    sample(&CleanGuidedDenoiser { inner, potential: &rules, strength, gate, modes })
+    sample(&CleanGuidedDenoiser { inner, potential: &rules, strength, gate, to_mode: false, modes })
 }

@@ -72,6 +72,9 @@ pub struct CleanGuidedDenoiser<'a> {
     pub strength: f64,
     /// When guidance acts and how far it may go.
     pub gate: GuidanceConfig,
+    /// Whether the mode is looked for. Otherwise the first step is all: agents that are only kept from collisions should
+    /// not dodge everybody who drives into them.
+    pub to_mode: bool,
     /// The modes of clean samples, where they are known; without them, entries are independent, of variance σ_data².
     pub modes: Option<&'a Surroundings>,
 }
@@ -147,6 +150,9 @@ impl CleanGuidedDenoiser<'_> {
             if bend.is_finite() && bend > 0.0 { 1.0 / (1.0 + bend) } else { 1.0 }
         };
         let mut steps: Vec<f64> = first.iter().zip(&at.values).map(damped).collect();
+        if !self.to_mode {
+            return at.pushes.broadcast_mul(&rows_like(steps, x0_hat)?);
+        }
         for _ in 0..N_STEPS {
             let is_open: Vec<bool> =
                 at.squares.iter().zip(&first).map(|(now, first)| *now > CONVERGED * first).collect();

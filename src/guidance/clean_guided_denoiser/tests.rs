@@ -35,7 +35,14 @@ impl CleanPotential for Squared {
 }
 
 fn guided<'a>(inner: &'a dyn Denoiser, potential: &'a dyn CleanPotential) -> CleanGuidedDenoiser<'a> {
-    CleanGuidedDenoiser { inner, potential, strength: 1.5, gate: GuidanceConfig::UNRESTRICTED, modes: None }
+    CleanGuidedDenoiser {
+        inner,
+        potential,
+        strength: 1.5,
+        gate: GuidanceConfig::UNRESTRICTED,
+        to_mode: true,
+        modes: None,
+    }
 }
 
 fn estimate(denoiser: &dyn Denoiser, sigma: f64) -> [f64; 2] {
