@@ -68,6 +68,7 @@ fn objectives_with_nothing_to_say_change_nothing() {
         potential: &potential,
         strength: 1.0,
         gate: GuidanceConfig::UNRESTRICTED,
+        to_mode: true,
         modes: None,
     };
     let x = NoiseSource::new(vec![Seed(1)]).draw_like(&batch.x0).unwrap();
