@@ -58,11 +58,11 @@ impl CleanPotential for ObjectiveSum<'_> {
 ///
 /// Where J is curved, that full step overshoots, and a wish that only a guided sample violates (not to move over too
 /// fast) has no gradient yet. The mode of the tilted posterior is looked for instead: x₀ = D + C w with the w that
-/// maximizes F(w) = α J(D + C w) - ½ w · C w, which is w = α ∇J where J is linear. From w = 0, each step goes along α ∇J -
-/// w, the gradient of F in the metric of C, by as much as the last change of this gradient asks for (Barzilai and Borwein
-/// 1988), less if F would fall. The first goes by 1 / (1 + α ∇J · C ∇J / (2 |J|)): J ≈ -½ k (c · x₀ - b)² obeys ∇J · C
-/// ∇J = 2 |J| k c · C c, so this gives its exact answer D + α C ∇J / (1 + α k c · C c) without knowing k and c. It
-/// supposes J ≤ 0 with 0 as the best. The network is not evaluated again.
+/// maximizes F(w) = α J(D + C w) - ½ w · C w, which is w = α ∇J where J is linear. From w = 0, each step goes along
+/// α ∇J - w, the gradient of F in the metric of C, by as much as the last change of this gradient asks for (Barzilai
+/// and Borwein 1988), less if F would fall. The first goes by 1 / (1 + α ∇J · C ∇J / (2 |J|)): J ≈ -½ k (c · x₀ - b)²
+/// obeys ∇J · C ∇J = 2 |J| k c · C c, so this gives its exact answer D + α C ∇J / (1 + α k c · C c) without knowing k
+/// and c. It supposes J ≤ 0 with 0 as the best. The network is not evaluated again.
 pub struct CleanGuidedDenoiser<'a> {
     /// The denoiser that is guided; it may be guided otherwise already.
     pub inner: &'a dyn Denoiser,
@@ -72,8 +72,8 @@ pub struct CleanGuidedDenoiser<'a> {
     pub strength: f64,
     /// When guidance acts and how far it may go.
     pub gate: GuidanceConfig,
-    /// Whether the mode is looked for. Otherwise the first step is all: agents that are only kept from collisions should
-    /// not dodge everybody who drives into them.
+    /// Whether the mode is looked for. Otherwise the first step is all: agents that are only kept from collisions
+    /// should not dodge everybody who drives into them.
     pub to_mode: bool,
     /// The modes of clean samples, where they are known; without them, entries are independent, of variance σ_data².
     pub modes: Option<&'a Surroundings>,

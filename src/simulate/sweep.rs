@@ -19,8 +19,8 @@ use crate::scene::{ObservationMask, Scene, Trajectory};
 use crate::store::{SceneStore, as_stored};
 use std::sync::Arc;
 
-/// How long after the event begins, or somebody has come closer to its way by this, meters, its ego answers, seconds: as
-/// the careful driver of UN R157; and no sooner after it begins than anybody could.
+/// How long after the event begins, or somebody has come closer to its way by this, meters, its ego answers, seconds:
+/// as the careful driver of UN R157; and no sooner after it begins than anybody could.
 const REACTS_S: f64 = 0.75;
 const WANDERING_M: f64 = 0.375;
 const SOONEST_S: f64 = 0.3;

@@ -6,8 +6,8 @@ use crate::simulate::Situation;
 use crate::simulate::driver::Failed;
 use crate::simulate::world::World;
 
-/// After the end of its plan, an ego presses and releases its pedals within about this time, seconds, and no faster than
-/// with this jerk, m/s³.
+/// After the end of its plan, an ego presses and releases its pedals within about this time, seconds, and no faster
+/// than with this jerk, m/s³.
 const PEDAL_S: f64 = 0.4;
 const GENTLE_MPS3: f64 = 4.0;
 /// The last moment, over which braking is judged, seconds.

@@ -20,9 +20,9 @@ const KEEPS_M: f64 = 1.8;
 const MOVES_ASIDE_MPS: f64 = 0.3;
 const KEEPS_IF_MOVING_M: f64 = 0.9;
 
-/// Keeps those of `agents` in their lanes, as fast as they are, that stray across them in the future of this scene. With
-/// agents that are `settling`, also those of them that drive along a lane, whatever they do, and everybody who does not
-/// leave its own.
+/// Keeps those of `agents` in their lanes, as fast as they are, that stray across them in the future of this scene.
+/// With agents that are `settling`, also those of them that drive along a lane, whatever they do, and everybody who
+/// does not leave its own.
 pub(in crate::simulate) fn keep_to_lanes(
     situation: &Situation,
     scene: &mut Scene,
@@ -88,8 +88,8 @@ mod tests {
     use crate::simulate::testing::record;
     use std::sync::Arc;
 
-    /// Where and in which direction an agent ends that drives along x with 4 m/s and is sampled to turn by this, radians,
-    /// on a map with these lanes.
+    /// Where and in which direction an agent ends that drives along x with 4 m/s and is sampled to turn by this,
+    /// radians, on a map with these lanes.
     fn ends(lanes: &[[[f64; 2]; 2]], turn_rad: f64, settling: Option<&[usize]>) -> (Vec2, f64) {
         let lane = |(i, [a, b]): (usize, &[[f64; 2]; 2])| {
             let center = Polyline([a, b].map(|[x, y]| Vec2::new(*x, *y)).to_vec());
