@@ -14,9 +14,9 @@ use crate::simulate::situation::Situation;
 const ALONG_RAD: f64 = 0.2;
 const ACROSS_RAD: f64 = 0.4;
 const STRIDE: usize = 3;
-/// Who ends within about half a lane of where it would in the middle of its own, meters, keeps that lane; who moves
-/// aside with more than this speed already, m/s, if it ends within the second distance.
-const KEEPS_M: f64 = 1.8;
+/// Who ends this close to where it would in the middle of its lane, meters, keeps that lane, if that is on the road;
+/// who moves aside with more than this speed already, m/s, if it ends within the second distance.
+const KEEPS_M: f64 = 1.2;
 const MOVES_ASIDE_MPS: f64 = 0.3;
 const KEEPS_IF_MOVING_M: f64 = 0.9;
 
@@ -50,7 +50,8 @@ pub(in crate::simulate) fn keep_to_lanes(
         let aside_mps = situation.across_lanes_rad(now).map_or(0.0, |rad| now.speed_mps() * rad.sin());
         let keeps_m = if aside_mps > MOVES_ASIDE_MPS { KEEPS_IF_MOVING_M } else { KEEPS_M };
         let stays = || own.last().zip(kept.last()).is_some_and(|(a, b)| a.position.distance(b.position) < keeps_m);
-        if strays || settling.is_some_and(|settling| settling.contains(&agent_idx)) || stays() {
+        let is_on_road = || !kept.iter().any(is_off);
+        if strays || settling.is_some_and(|settling| settling.contains(&agent_idx)) || stays() && is_on_road() {
             replace(scene, agent_idx, &kept);
         }
     }
