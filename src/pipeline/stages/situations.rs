@@ -28,7 +28,7 @@ impl Stage for Situations<'_> {
     }
 
     fn version(&self) -> u32 {
-        7
+        8
     }
 
     fn check(&self) -> Result<()> {
