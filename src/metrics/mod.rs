@@ -69,7 +69,7 @@ mod validity;
 pub use actor_world::ActorWorld;
 pub use aggregate::{Aggregate, AggregateTally};
 pub use careful_driver::{CarefulDriver, CarefulJudgment, CarefulReplay, Ending, PreventableRate, Seen, Way};
-pub(crate) use careful_driver::{acceleration_mps2, body, eased_mps2, half_width_m, least_ttc_s};
+pub(crate) use careful_driver::{DELAY_S, WANDERING_M, acceleration_mps2, body, eased_mps2, half_width_m, least_ttc_s};
 pub(crate) use collision_rate::collisions;
 pub use collision_rate::{AgentCollisionRate, CollisionRate};
 pub use constant_velocity::constant_velocity;

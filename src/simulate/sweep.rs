@@ -13,16 +13,15 @@ use crate::behavior::Behavior;
 use crate::generate::{
     self, Futures, NamedDriver, RejectedSample, Rejection, ShardOutput, SweepRollout, requested_events,
 };
+use crate::metrics::{DELAY_S, WANDERING_M};
 use crate::progress::Progress;
 use crate::scenario::{EgoChoice, ScenarioRecord};
 use crate::scene::{ObservationMask, Scene, Trajectory};
 use crate::store::{SceneStore, as_stored};
 use std::sync::Arc;
 
-/// How long after the event begins, or somebody has come closer to its way by this, meters, its ego answers, seconds:
-/// as the careful driver of UN R157; and no sooner after it begins than anybody could.
-const REACTS_S: f64 = 0.75;
-const WANDERING_M: f64 = 0.375;
+/// The ego answers with the delay of UN R157's careful driver, whose 0.4 s of perception are left out, after the event
+/// begins or somebody has come closer to its way than by wandering; and no sooner than this after it begins, seconds.
 const SOONEST_S: f64 = 0.3;
 
 /// Drives on the scenarios of a shard that show the requested behavior, or all if none is requested; arrivals are those
@@ -126,7 +125,7 @@ fn answers_from(record: &ScenarioRecord, situation: &Situation) -> usize {
         })
     };
     let began = situation.planned.iter().filter_map(comes_over).min();
-    let [n_reacts, n_soonest] = [REACTS_S, SOONEST_S].map(|s| (s / scene.dt_s).round() as usize);
+    let [n_reacts, n_soonest] = [DELAY_S, SOONEST_S].map(|s| (s / scene.dt_s).round() as usize);
     let seen = began.map_or(event.start_timestep, |began| began.min(event.start_timestep));
     (seen + n_reacts).max(event.start_timestep + n_soonest)
 }

@@ -106,7 +106,7 @@ impl LaneKeeper {
     pub(super) fn keep(&self, entries: &mut [Option<State>], latent: &[u8]) {
         let is_observed = |t: &usize| latent[*t] == 0 && entries[*t].is_some();
         let Some(first) = (0..entries.len()).rfind(is_observed).map(|last| last + 1) else { return };
-        // Beside the inner side of a corner, the nearest place on the line jumps, so the agent is moved to it first.
+        // Beside the inner side of a corner, the nearest place on the line jumps; the agent is moved over to it first.
         let on_line = |(i, state): (usize, &Option<State>)| {
             let state = state.as_ref()?;
             let along_rad = self.direction_rad + angle_difference(state.heading_rad, self.heading_rad);

@@ -44,7 +44,7 @@ pub use ending::Ending;
 pub use judgment::{CarefulJudgment, CarefulReplay};
 pub(crate) use ordinary::{acceleration_mps2, eased_mps2, half_width_m};
 pub use preventable_rate::PreventableRate;
-pub(crate) use regulation::least_ttc_s;
+pub(crate) use regulation::{DELAY_S, WANDERING_M, least_ttc_s};
 pub use watch::Seen;
 pub use way::Way;
 pub(crate) use way::body;

@@ -6,7 +6,7 @@
 
 /// A vehicle that moves sideways by at most this only wanders in its lane: beyond it, the risk of a cut-in or cut-out
 /// can be perceived, meters.
-pub(super) const WANDERING_M: f64 = 0.375;
+pub(crate) const WANDERING_M: f64 = 0.375;
 /// A vehicle ahead that brakes by more than this is a risk, m/s².
 pub(super) const LEADER_BRAKES_MPS2: f64 = 5.0;
 /// Time to perceive a risk, seconds.
@@ -15,7 +15,7 @@ pub(super) const PERCEPTION_S: f64 = 0.4;
 /// out or brakes, seconds.
 pub(super) const DANGER_S: f64 = 2.0;
 /// Time from a danger that is perceived to braking, seconds.
-pub(super) const DELAY_S: f64 = 0.75;
+pub(crate) const DELAY_S: f64 = 0.75;
 /// Time for the deceleration to reach its maximum, seconds.
 pub(super) const RAMP_S: f64 = 0.6;
 /// The largest deceleration, m/s²: 0.774 g. (The 0.85 g of systems with emergency braking, once both vehicles are in

@@ -111,13 +111,15 @@ mod tests {
             let ahead = Seen { offset_m: 0.0, flank_m: 0.0, gap_m, closing_mps, lengths_m: 9.0, is_on_foot: false };
             calm_mps2(model_mps2, 10.0, &ahead)
         };
-        // By hand: it falls back with 2 m/s, 0.5 of which it has; and (25 / 16 < 5 / 2) it comes to the speed ahead.
+        // By hand: it falls back with 2 m/s, 0.5 of which it has; and it comes to the speed ahead.
         assert!((calm(-7.5, 2.0, -0.5) + 0.75).abs() < 1e-12);
         assert!((calm(-6.0, 10.0, 5.0) + 2.5).abs() < 1e-12);
         // It comes up again where the gap opens faster.
         assert!((calm(-1.0, 6.0, -1.5) - 0.5 / 6.0).abs() < 1e-12 && (calm(-1.0, 6.0, -4.0) - 0.5).abs() < 1e-12);
         // It brakes for what is needed, and no harder than the model.
         assert!((calm(-9.0, 4.0, 5.0) + 6.25).abs() < 1e-12);
+        // Of 8 m, it uses 4: 36 / 8.
+        assert!((calm(-9.0, 8.0, 6.0) + 4.5).abs() < 1e-12);
         assert_eq!([calm(0.5, 2.0, -0.5), calm(-5.0, 2.5, 5.0)], [0.5, -5.0]);
     }
 }
