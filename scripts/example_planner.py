@@ -21,7 +21,11 @@ seen = {}  # The observations of the present scenario.
 def half_a_second_before(observation, hello):
     n = round(0.5 / hello["dt_s"])
     agents = [{**agent, "states": agent["states"][:-n]} for agent in observation["agents"]]
-    return {**observation, "agents": [agent for agent in agents if agent["states"] and agent["states"][-1]]}
+    agents = [agent for agent in agents if agent["states"] and agent["states"][-1]]
+    if all(agent["id"] != hello["ego_id"] for agent in agents):
+        # An ego that was not there yet knows where it is now.
+        agents.append(find(observation, hello["ego_id"]))
+    return {**observation, "agents": agents}
 
 
 def act(observation, hello):
