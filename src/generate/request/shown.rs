@@ -8,13 +8,17 @@ use super::facts::{CAREFUL_MARGIN, Facts};
 use super::ledger::Ledger;
 use super::resolve::ResolvedRequest;
 use super::rounds::{CellAim, Member, RoundContext, Taken};
+use crate::behavior::BehaviorEvent;
 use crate::generate::{Cell, Error, Generator, requested_events};
-use crate::metrics::PairPath;
+use crate::metrics::{CarefulReplay, PairPath};
+use crate::scene::Scene;
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
 /// How many templates of a cell are solved for a bucket.
 const N_TEMPLATES: usize = 16;
+/// By how much the margin of a template alone differs from that of the scenario, seconds: others are in the way, too.
+const MARGINS_BESIDE_S: [f64; 8] = [-1.0, -0.75, -0.5, -0.25, 0.25, 0.5, 0.75, 1.0];
 /// How often a motion is sampled that was not accepted: what the others do around it differs.
 const N_TRIES: u64 = 2;
 
@@ -73,23 +77,36 @@ impl Generator<'_> {
         let aimed = Cell { targets: vec![request.buckets.target(bucket)], ..cell.clone() };
         let names = request.told_apart_by(Some(behavior));
         let (buckets, conditions) = (&request.config.buckets, &request.config.conditions);
-        // Who reacts when is known only from the whole scenario.
-        let is_told = !buckets.contains_key(CAREFUL_MARGIN) && !conditions.contains_key(CAREFUL_MARGIN);
+        let asks_margin = buckets.contains_key(CAREFUL_MARGIN) || conditions.contains_key(CAREFUL_MARGIN);
         let alone = self.templates_alone(sweep, &aimed, &scene, N_TEMPLATES);
         let shown = alone.iter().enumerate().filter_map(|(number, alone)| {
             let path = PairPath::of(alone, &cell.roles);
             let (is_found, events) = requested_events(behavior, &cell.roles, alone);
-            let Some(event) = events.first().filter(|_| is_found && is_told) else {
+            let event = events.first().filter(|_| is_found);
+            let margin_s = event.filter(|_| asks_margin).and_then(|event| margin_s(event, alone));
+            let Some(event) = event.filter(|_| !asks_margin || margin_s.is_some()) else {
                 return Some(Shown { number, bucket: None, path, event: None });
             };
-            let facts = Facts { scene: &scene, event, careful_margin_s: None };
-            let is_allowed = conditions.iter().all(|(name, condition)| facts.satisfies(name, condition));
-            let bucket = request.buckets.place(&facts).filter(|_| is_allowed && behavior.is_as_driven(event))?;
+            let bucket_at = |by_s: f64| {
+                let facts = Facts { scene: &scene, event, careful_margin_s: margin_s.map(|margin_s| margin_s + by_s) };
+                let is_allowed = conditions.iter().all(|(name, condition)| facts.satisfies(name, condition));
+                request.buckets.place(&facts).filter(|_| is_allowed && behavior.is_as_driven(event))
+            };
+            let Some(bucket) = bucket_at(0.0) else {
+                let may_be = asks_margin && MARGINS_BESIDE_S.into_iter().any(|by_s| bucket_at(by_s).is_some());
+                return may_be.then_some(Shown { number, bucket: None, path, event: None });
+            };
             let event = EventValues::of(event, names.iter().map(String::as_str));
             Some(Shown { number, bucket: Some(bucket), path, event: Some(event) })
         });
         Ok(shown.collect())
     }
+}
+
+/// The margin of a careful driver who meets an event among those alone who follow its template. `None` if the vehicle
+/// that the event happens to is not among them.
+fn margin_s(event: &BehaviorEvent, alone: &Scene) -> Option<f64> {
+    Some(CarefulReplay::of(alone, event.subject_idx(alone)?)?.margin_s())
 }
 
 impl ResolvedRequest {
@@ -177,5 +194,27 @@ impl Taken {
             aim.bucket == bucket && ledger.situation_of_cell.get(*other) == ledger.situation_of_cell.get(cell)
         });
         own.count() as u64
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::behavior::{BehaviorEntry, EventLabel};
+    use crate::scene::testing::{Drive, scene};
+
+    #[test]
+    fn margins_are_of_the_vehicle_that_the_event_happens_to() {
+        let of = |distance_m: f64, behavior: &str| {
+            let alone = scene(&[Drive::straight(0.0, 0.0, 0.0, 15.0), Drive::straight(distance_m, 0.0, 0.0, 0.0)]);
+            let entry = BehaviorEntry::of(behavior).unwrap();
+            let event = BehaviorEvent::new((entry.id, entry.roles), &alone, EventLabel::Positive, &[0, 1], 4..=11);
+            margin_s(&event, &alone)
+        };
+        // Full braking from 15 m/s takes 15 m, and the reaction more.
+        assert_eq!(of(12.0, "cut_in"), Some(-0.75));
+        assert_eq!(of(300.0, "cut_in"), Some(2.0));
+        // Who stands is followed by nobody.
+        assert_eq!(of(12.0, "wrong_way"), None);
     }
 }

@@ -233,10 +233,11 @@ fn what_would_repeat_the_template_of_another_sample_is_not_sampled() {
 fn templates_show_the_bucket_of_their_event_and_those_of_none_are_left_out() {
     let asked = "behavior = 'drift'\n    classifier_scope = 'none'\n    template = true";
     let templates = SWEEPS.replace("behavior = 'drift'", asked).replace("strengths = [0.0, 3.0]", "");
-    let shown = |edges: &str| {
+    let shown = |edges: &str, condition: &str| {
         let request = "[[arms]]\nname = 'a'\n[[requests]]\nname = 'r'\nbehavior = 'cut_in'\narms = ['a']\n\
                        per_bucket = 1\nbudget = { n_samples = 9 }\nbuckets";
-        let config_of_request: GenerateConfig = toml::from_str(&format!("{request} = {{ gap_m = {edges} }}")).unwrap();
+        let config_of_request: GenerateConfig =
+            toml::from_str(&format!("{request} = {{ gap_m = {edges} }}\n{condition}")).unwrap();
         let cut_in = BehaviorConfig::from_id("cut_in").unwrap().build();
         let mut request = config_of_request.resolve(&[cut_in]).unwrap().requests.remove(0);
         request.arms[0].sweep_idx = 1;
@@ -247,6 +248,8 @@ fn templates_show_the_bucket_of_their_event_and_those_of_none_are_left_out() {
         })
     };
     // The agent drifts by most of 3 m and a quarter of the sum of the target's ends.
-    assert_eq!(shown("[0, 4, 20]"), [Some(0), Some(1)]);
-    assert_eq!(shown("[0, 0.5, 1]"), []);
+    assert_eq!(shown("[0, 4, 20]", ""), [Some(0), Some(1)]);
+    assert_eq!(shown("[0, 0.5, 1]", ""), []);
+    // How much time it leaves is not known of an event without a vehicle that it happens to.
+    assert_eq!(shown("[0, 4, 20]", "where = { careful_margin_s = [-0.5, 0.5] }"), [None, None]);
 }
