@@ -3,9 +3,8 @@
 use super::device::ComputeChoice;
 use super::failure::{Failure, Result};
 use super::inputs::check_inputs;
-use super::kept_models::kept;
 use super::log::Logged;
-use super::outdated;
+use super::plan::revise;
 use super::planned::{Action, PlannedStage};
 use super::record::StageRecord;
 use super::shards::{self, Gathering, Makers};
@@ -47,37 +46,6 @@ pub(super) fn execute(
         records.push(record);
     }
     Ok(records)
-}
-
-/// Takes into account what earlier stages wrote, which was unknown when `planned` was made: nothing made from other
-/// bytes is reused or resumed.
-///
-/// # Errors
-/// When the stage must run again and would replace a model whose training was long.
-fn revise(planned: &mut PlannedStage<'_>, context: &StageContext<'_>) -> Result<()> {
-    let kind = planned.stage.kind();
-    let earlier = match planned.action {
-        Action::Reuse => planned.earlier.done.as_ref(),
-        Action::Resume => planned.earlier.begun.as_ref(),
-        Action::Run(_) => None,
-    };
-    let Some((producer, earlier)) =
-        earlier.and_then(|earlier| Some((planned.expected.rewritten_since(earlier)?.to_owned(), earlier)))
-    else {
-        return Ok(());
-    };
-    if planned.action == Action::Reuse && (outdated::is_kept(kind, earlier) || !planned.is_selected) {
-        context.progress.warn(&format!(
-            "{kind} is kept, but {producer}, which it read, has written other bytes since; rebuild it with --redo \
-             {kind}"
-        ));
-        return Ok(());
-    }
-    let why = outdated::why(&producer);
-    planned.kept = kept(context.root, &planned.earlier, &planned.expected, &why, false)?;
-    context.progress.note(&format!("{kind} runs again: {why}"));
-    planned.action = Action::Run(why);
-    Ok(())
 }
 
 fn run_stage(

@@ -26,7 +26,7 @@ pub(super) fn identify_inputs(
             Ok(record) => record,
             // Results stay valid when their recordings are removed.
             Err(failure) if failure.blame != Blame::Input => return Err(failure),
-            Err(failure) => match earlier.and_then(|earlier| earlier.missing_input(&input)) {
+            Err(failure) => match earlier.and_then(|earlier| missing_input(earlier, &input)) {
                 Some(record) => {
                     missing.get_or_insert(failure);
                     record
@@ -37,6 +37,13 @@ pub(super) fn identify_inputs(
         inputs.insert(input.name, record);
     }
     Ok((inputs, missing))
+}
+
+/// An input from outside that this record has but that no longer exists.
+fn missing_input(earlier: &StageRecord, input: &StageInput) -> Option<InputRecord> {
+    let record = earlier.inputs.get(&input.name)?;
+    let is_same = matches!(record, InputRecord::Path { path, .. } if *path == input.path);
+    (input.producer.is_none() && is_same && !input.path.exists()).then(|| record.clone())
 }
 
 /// The record that `stage` would have if it ran alone in the folder `root`.

@@ -13,6 +13,7 @@
 mod clock;
 mod device;
 mod earlier;
+mod earlier_runs;
 mod execute;
 mod failure;
 mod fingerprint;
@@ -40,6 +41,7 @@ mod work_folder;
 
 pub use clock::Stopwatch;
 pub use device::{ComputeChoice, DeviceChoice};
+pub use earlier_runs::begun;
 pub use failure::{Blame, Classify, Failure, Result};
 pub use fingerprint::{PathFingerprint, fingerprint_path, fingerprint_value};
 pub use kept_models::Kept;

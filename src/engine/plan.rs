@@ -1,6 +1,7 @@
 //! Decides which stages must run, and which are reused or resumed.
 
 use super::earlier::Earlier;
+use super::earlier_runs::left;
 use super::failure::{Failure, Result};
 use super::inputs::{check_overlaps, expected_on, identify_inputs};
 use super::kept_models::kept;
@@ -9,10 +10,8 @@ use super::outdated;
 use super::ownership;
 use super::planned::{Action, PlannedStage};
 use super::record::StageRecord;
-use super::shards::ShardFolder;
-use super::stage::Stage;
-use super::timings::Timings;
-use super::work_folder::{WorkFolder, work_path};
+use super::stage::{Stage, StageContext};
+use super::work_folder::work_path;
 use std::path::Path;
 
 /// Decides on every stage, in order; those in `redo` are done again even if they are up to date. `root` is the folder
@@ -38,13 +37,9 @@ pub fn plan<'a>(
     // Stages that are up to date now may have to run once earlier ones have written.
     let mut may_run: Vec<&StageKind> = Vec::new();
     for stage in stages {
-        let earlier = earlier(root, stage.kind())?;
+        let earlier = left(root, stage.kind())?;
         let (inputs, missing) = identify_inputs(root, &planned, stage.as_ref(), earlier.done.as_ref())?;
         let mut expected = expected_on(stage.as_ref(), inputs)?;
-        // Work on the same contents keeps its fingerprint when files are moved, and so do later stages.
-        if let Some(same) = earlier.done.iter().chain(&earlier.begun).find(|earlier| expected.is_same_work(earlier)) {
-            expected.fingerprint.clone_from(&same.fingerprint);
-        }
         let is_requested = redo.contains(&stage.kind());
         let action = decide(root, &earlier, &mut expected, is_requested)?;
         if let Some(failure) = missing.filter(|_| action != Action::Reuse) {
@@ -95,30 +90,44 @@ pub fn select<'a>(planned: Vec<PlannedStage<'a>>, selected: &[&'static StageKind
     Ok(marked.collect())
 }
 
-/// The record of unfinished work on a stage in `root`, if there is any.
-pub fn begun(root: &Path, stage: &'static StageKind) -> Result<Option<StageRecord>> {
-    unfinished(root, stage, &ShardFolder::all(root, stage)?)
+/// Takes into account what earlier stages wrote, which was unknown when `planned` was made: nothing made from other
+/// bytes is reused or resumed.
+///
+/// # Errors
+/// When the stage must run again and would replace a model whose training was long.
+pub(super) fn revise(planned: &mut PlannedStage<'_>, context: &StageContext<'_>) -> Result<()> {
+    let kind = planned.stage.kind();
+    let earlier = match planned.action {
+        Action::Reuse => planned.earlier.done.as_ref(),
+        Action::Resume => planned.earlier.begun.as_ref(),
+        Action::Run(_) => None,
+    };
+    let Some((producer, earlier)) =
+        earlier.and_then(|earlier| Some((planned.expected.rewritten_since(earlier)?.to_owned(), earlier)))
+    else {
+        return Ok(());
+    };
+    if planned.action == Action::Reuse && (outdated::is_kept(kind, earlier) || !planned.is_selected) {
+        context.progress.warn(&format!(
+            "{kind} is kept, but {producer}, which it read, has written other bytes since; rebuild it with --redo \
+             {kind}"
+        ));
+        return Ok(());
+    }
+    let why = outdated::why(&producer);
+    planned.kept = kept(context.root, &planned.earlier, &planned.expected, &why, false)?;
+    context.progress.note(&format!("{kind} runs again: {why}"));
+    planned.action = Action::Run(why);
+    Ok(())
 }
 
-fn unfinished(root: &Path, stage: &'static StageKind, plans: &[ShardFolder]) -> Result<Option<StageRecord>> {
-    Ok(WorkFolder::started(root, stage)?.or_else(|| Some(plans.last()?.identity().stage.clone())))
-}
-
-/// What earlier runs left of a stage in `root`.
-fn earlier(root: &Path, stage: &'static StageKind) -> Result<Earlier> {
-    let (plans, timings) = (ShardFolder::all(root, stage)?, Timings::read(root));
-    Ok(Earlier {
-        stage,
-        begun: unfinished(root, stage, &plans)?,
-        done: StageRecord::done(root, stage)?,
-        is_redone: plans.iter().any(ShardFolder::redoes),
-        times_seen: timings.times_seen(stage),
-        seconds_spent: timings.seconds_spent(stage),
-    })
-}
-
-/// The action for a stage. If it is reused, `expected` gets the times at which its outputs were last verified.
+/// The action for a stage. `expected` gets the fingerprint of earlier work on the same contents and, if the stage is
+/// reused, the times at which its outputs were last verified.
 fn decide(root: &Path, earlier: &Earlier, expected: &mut StageRecord, is_requested: bool) -> Result<Action> {
+    // Files may have been moved. Later stages keep their fingerprints, too.
+    if let Some(same) = earlier.done.iter().chain(&earlier.begun).find(|earlier| expected.is_same_work(earlier)) {
+        expected.fingerprint.clone_from(&same.fingerprint);
+    }
     let stage = earlier.stage;
     let why = match &earlier.done {
         Some(_) if is_requested || earlier.is_redone => "requested by --redo".to_owned(),

@@ -6,7 +6,7 @@
 
 use super::failure::{Failure, Result};
 use super::fingerprint::{PathFingerprint, fingerprint_to, fingerprint_value};
-use super::kind::{StageInput, StageKind};
+use super::kind::StageKind;
 use crate::files::{path_as_text, stays_below};
 use crate::store::{Error, read_record, write_record};
 use serde::{Deserialize, Serialize};
@@ -92,13 +92,6 @@ impl StageRecord {
             earlier.inputs.get(name).is_some_and(|then| input.agrees_with(then))
         };
         self.settings == earlier.settings && self.inputs.len() == earlier.inputs.len() && self.inputs.iter().all(agree)
-    }
-
-    /// An input from outside that this record has but that no longer exists.
-    pub(super) fn missing_input(&self, input: &StageInput) -> Option<InputRecord> {
-        let record = self.inputs.get(&input.name)?;
-        let is_same = matches!(record, InputRecord::Path { path, .. } if *path == input.path);
-        (input.producer.is_none() && is_same && !input.path.exists()).then(|| record.clone())
     }
 
     /// The known content of an input, if its path was the same.

@@ -2,7 +2,7 @@
 
 use super::layout::Layout;
 use super::{KINDS, StageId};
-use crate::engine::plan::begun;
+use crate::engine::begun;
 use crate::engine::run_folder::{RUN_FILE, RunManifest};
 use crate::engine::shards::{ShardStatus, shard_status};
 use crate::engine::{Failure, Result, done_path, work_path};

@@ -1,7 +1,7 @@
 //! Folders: runs, scene stores, samples, corpora, models.
 
 use super::{Description, checkpoint, requests};
-use crate::engine::plan::begun;
+use crate::engine::begun;
 use crate::engine::run_folder::{RUN_FILE, RunManifest, Timings};
 use crate::engine::{Result, StageKind, StageRecord};
 use crate::pipeline::layout::SAMPLES;
