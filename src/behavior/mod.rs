@@ -3,6 +3,10 @@
 //! One behavior per file. A new one needs its file, an entry in the list `behaviors!`, and example scenes in
 //! `tests/fixtures/behavior/<id>/`, at least one with a positive and one with a negative event.
 //!
+//! Rules for some behaviors alone name them, and a new one may belong there: `CUT_INS` and `FROM_BEHIND` in
+//! `evaluate::judge`, `DECIDED_BY_EGO` in `simulate::event`, [`needs_cause`], the tags of other formats in
+//! `export::commonroad` and `export::openlabel`, and what `pipelines/README.md` says of lanes and templates.
+//!
 //! [`Behavior::feasible`] predicts, from the observed past and the map, which events a pair can still reach;
 //! [`Behavior::template`] is a maneuver that leads to a requested one. A cut-in is solved directly. The other behaviors
 //! draw up candidates, one file each in `maneuver`; kept are those that stay on the road, within the limits of vehicles
@@ -48,28 +52,13 @@ pub(crate) mod way_on;
 mod wrong_way;
 
 pub use cause::{Cause, Explanation, explanation, needs_cause};
-pub use collision::Collision;
-pub use cut_in::CutIn;
-pub use cut_in_paper::CutInPaper;
-pub use cut_out::CutOut;
 pub use event::{BehaviorEvent, EventLabel};
-pub use failure_to_yield::FailureToYield;
-pub use hard_brake::HardBrake;
-pub use lane_change::LaneChange;
-pub use left_turn::LeftTurn;
 pub use maneuver::Maneuver;
 pub(crate) use maneuver::RELEASE_JERK_MPS3;
-pub use near_miss::NearMiss;
 pub use outcome::Outcome;
-pub use pedestrian_steps_out::PedestrianStepsOut;
 pub(crate) use pedestrian_steps_out::may_walk;
-pub use right_turn::RightTurn;
-pub use runs_stop_line::RunsStopLine;
 pub use subject::Subject;
-pub use tailgating::Tailgating;
 pub use template::Template;
-pub use unprotected_left_turn::UnprotectedLeftTurn;
-pub use wrong_way::WrongWay;
 
 pub(crate) use crate::geometry::footprint;
 use crate::scene::{AgentClass, Scene};
@@ -156,6 +145,8 @@ macro_rules! behaviors {
     ($($(#[$doc:meta])* $Behavior:ident in $module:ident {
         subject: $subject:expr, is_collision: $is_collision:literal, needs_lanes: $needs_lanes:literal
     }: $description:literal,)*) => {
+        $(pub use $module::$Behavior;)*
+
         /// A behavior to mine, with its options: `{ kind = "cut_in", max_delay_s = 2.0 }`.
         #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
         #[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]

@@ -1,5 +1,7 @@
-//! The facts about each dataset in one table: its name and terms, what it records, and the rules of its benchmark.
+//! The names of the datasets, and the facts about each in one table: its terms, what it records, and the rules of its
+//! benchmark.
 
+use crate::settings::named;
 use serde::{Deserialize, Serialize};
 
 /// The datasets that can be ingested. Their differences other than formats are in [`Dataset::facts`]: code looks up the
@@ -22,14 +24,17 @@ pub enum Dataset {
     Table,
 }
 
+named! { Dataset {
+    Interaction = "interaction", Argoverse1 = "argoverse1", Argoverse2 = "argoverse2", CommonRoad = "commonroad",
+    Womd = "womd", Table = "table",
+} }
+
 /// Time between the timesteps of ingested scenes, seconds: all datasets have 10 Hz, or are resampled to it.
 pub const INGESTED_DT_S: f64 = 0.1;
 
 /// The facts about a dataset.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct DatasetFacts {
-    /// The name in tables, ids and configurations.
-    pub name: &'static str,
     /// The terms under which it is published, which also apply to everything derived from it.
     pub terms: &'static str,
     /// The country of all its places, as a code of three letters; `None` if the names of places give it.
@@ -79,15 +84,10 @@ pub enum Benchmark {
 }
 
 impl Dataset {
-    /// Every dataset.
-    pub const ALL: [Self; 6] =
-        [Self::Interaction, Self::Argoverse1, Self::Argoverse2, Self::CommonRoad, Self::Womd, Self::Table];
-
     /// The facts about it.
     pub const fn facts(self) -> &'static DatasetFacts {
         match self {
             Self::Interaction => &DatasetFacts {
-                name: "interaction",
                 terms: "INTERACTION dataset (Zhan et al. 2019): non-commercial use under the terms it was obtained \
                         with. Recordings of another origin in its format are under the terms of their maker.",
                 country: None,
@@ -103,7 +103,6 @@ impl Dataset {
                 benchmark: Some(Benchmark::InteractionJoint),
             },
             Self::Argoverse1 => &DatasetFacts {
-                name: "argoverse1",
                 terms: "Argoverse 1 (Chang et al. 2019): CC BY-NC-SA 4.0, non-commercial use only.",
                 country: Some("USA"),
                 has_classes: false,
@@ -119,7 +118,6 @@ impl Dataset {
                 benchmark: Some(Benchmark::ArgoverseFocal),
             },
             Self::Argoverse2 => &DatasetFacts {
-                name: "argoverse2",
                 terms: "Argoverse 2 (Wilson et al. 2021): CC BY-NC-SA 4.0, non-commercial use only.",
                 country: Some("USA"),
                 has_classes: true,
@@ -134,7 +132,6 @@ impl Dataset {
                 benchmark: Some(Benchmark::ArgoverseWorlds),
             },
             Self::CommonRoad => &DatasetFacts {
-                name: "commonroad",
                 terms: "CommonRoad scenarios (Althoff et al. 2017): under the terms of whoever made them, which each \
                         file names as its source.",
                 country: None,
@@ -151,7 +148,6 @@ impl Dataset {
                 benchmark: None,
             },
             Self::Womd => &DatasetFacts {
-                name: "womd",
                 terms: "Waymo Open Motion Dataset (Ettinger et al. 2021): Waymo Dataset License Agreement for \
                         Non-Commercial Use, which also covers what is derived from it, trained models included.",
                 country: Some("USA"),
@@ -168,7 +164,6 @@ impl Dataset {
                 benchmark: None,
             },
             Self::Table => &DatasetFacts {
-                name: "table",
                 terms: "recordings read by a mapping: under the terms of their owner, which `evaluate.terms` states.",
                 country: None,
                 has_classes: true,
@@ -184,16 +179,6 @@ impl Dataset {
                 benchmark: None,
             },
         }
-    }
-
-    /// The name in tables, ids and configurations.
-    pub const fn name(self) -> &'static str {
-        self.facts().name
-    }
-
-    /// The dataset of this name.
-    pub fn from_name(name: &str) -> Option<Self> {
-        Self::ALL.into_iter().find(|dataset| dataset.name() == name)
     }
 }
 

@@ -1,10 +1,9 @@
 //! Does `djinn export` write every format from a corpus, refuse what it must, and lead back to where it came from?
 
 use crate::support::{Outcome, Workspace, assert_same, djinn, files, json};
+use djinn::export::ExportFormat;
 use std::collections::BTreeMap;
 use std::path::Path;
-
-const FORMATS: [&str; 6] = ["interaction", "argoverse2", "womd", "commonroad", "openscenario", "openlabel"];
 
 /// The rows of a table by the names of its columns.
 fn rows(path: &Path) -> Vec<BTreeMap<String, String>> {
@@ -25,7 +24,7 @@ fn a_corpus_becomes_every_format_and_what_cannot_be_is_refused() {
         djinn(&[&["export", format, corpus.to_str().unwrap(), "--out", &out], more].concat())
     };
 
-    for format in FORMATS {
+    for format in ExportFormat::ALL.map(ExportFormat::name) {
         let outcome = export(format, format, &[]).expect(0);
         assert_eq!(outcome.stdout, "");
         assert!(outcome.stderr.contains("non-commercial use"), "{}", outcome.stderr);

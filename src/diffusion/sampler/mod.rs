@@ -10,7 +10,7 @@ mod tests;
 pub use grid::StepGrid;
 
 use super::{Denoiser, Edm, NoiseSource};
-use crate::settings;
+use crate::settings::{self, named};
 use candle_core::{Result, Tensor};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -42,6 +42,8 @@ pub enum SamplerKind {
     #[serde(rename = "dpmpp_2m")]
     Dpmpp2m,
 }
+
+named! { SamplerKind { Heun = "heun", Euler = "euler", Dpmpp2m = "dpmpp_2m" } }
 
 impl Default for SamplerConfig {
     fn default() -> Self {
@@ -141,12 +143,7 @@ impl SamplerConfig {
     /// The name for provenance: the kind, the number of steps and, if it is not the default, the grid: such as
     /// `heun-50`.
     pub fn name(&self) -> String {
-        let kind = match self.kind {
-            SamplerKind::Heun => "heun",
-            SamplerKind::Euler => "euler",
-            SamplerKind::Dpmpp2m => "dpmpp_2m",
-        };
-        format!("{kind}-{}{}", self.n_steps(), self.grid.suffix())
+        format!("{}-{}{}", self.kind.name(), self.n_steps(), self.grid.suffix())
     }
 
     /// One sample for each of `noise`'s rows: (B, `row_dims`…) in the dtype and on the device of `like`.

@@ -80,17 +80,20 @@ fn karras_without_zero(n_steps: usize) -> Vec<f64> {
 
 #[test]
 fn each_sampler_converges_at_its_order() {
-    for (config, order) in
-        [(SamplerConfig::euler(100), 1.0), (SamplerConfig::heun(50), 2.0), (SamplerConfig::dpmpp_2m(40), 2.0)]
-    {
+    for kind in SamplerKind::ALL {
+        let order: f64 = match kind {
+            SamplerKind::Euler => 1.0,
+            SamplerKind::Heun | SamplerKind::Dpmpp2m => 2.0,
+        };
+        let config = SamplerConfig::of(kind, 1);
         let measured = (error_after(&config, 200) / error_after(&config, 400)).log2();
-        assert!((measured - order).abs() < 0.2, "{}: order {measured}, expected {order}", config.name());
+        assert!((measured - order).abs() < 0.2, "{}: order {measured}, expected {order}", kind.name());
     }
 }
 
 #[test]
 fn a_row_is_the_same_alone_and_in_a_batch() {
-    for config in [SamplerConfig::heun(8), SamplerConfig::euler(8), SamplerConfig::dpmpp_2m(8)] {
+    for config in SamplerKind::ALL.map(|kind| SamplerConfig::of(kind, 8)) {
         let together = sample(&config, &mut noise(5));
         let alone = sample(&config, &mut NoiseSource::new(vec![Seed(5).derive("row", &[3])]));
         assert_eq!(together[3], alone[0], "{}", config.name());
@@ -107,7 +110,7 @@ fn the_denoiser_is_called_as_often_as_promised() {
         }
     }
     let denoiser = Counting(MixtureDenoiser::new(&mixture(), DType::F64).unwrap(), std::cell::Cell::new(0));
-    for config in [SamplerConfig::default(), SamplerConfig::euler(7), SamplerConfig::dpmpp_2m(1)] {
+    for config in SamplerKind::ALL.into_iter().flat_map(|kind| [1, 7].map(|n_steps| SamplerConfig::of(kind, n_steps))) {
         denoiser.1.set(0);
         let mut seen = Vec::new();
         let mut observer = |step: &Step<'_>| seen.push((step.step_idx, step.n_steps, step.sigma));
@@ -127,6 +130,9 @@ fn configs_are_tagged_and_strict() {
     assert!(parse("kind = 'heun'\nsteps = 9").unwrap_err().to_string().contains("steps"));
     assert!(parse("kind = 'ddim'").is_err());
     assert_eq!(SamplerConfig::heun(20).name(), "heun-20");
+    for kind in SamplerKind::ALL {
+        assert_eq!(serde_json::to_value(kind).unwrap(), kind.name());
+    }
 }
 
 /// Preconditioning, schedule and one step of each kind as `scripts/golden_edm.py` computes them with numpy.
