@@ -28,9 +28,10 @@ const N_STEPS: usize = 3;
 const STANDING_MPS: f64 = 1.0;
 
 /// The points at which an agent continues after the last timestep of its track, which lasts to the end of the scene:
-/// along the lane that it is in there, the straightest at forks, and on along the lane beside it where it ends, for
-/// `length_m` or to the end of the map. From its own direction and bend it comes over to the middle of the lane, within a time of `SETTLES_S` or `CAUGHT_S`. Corners of
-/// center lines become bends that vehicles can drive. Empty if it is in no lane.
+/// along the lane that it is in there, the straightest at forks, and along the one beside it after its end, for
+/// `length_m` or to the end of the map. From its own direction and bend it comes over to the middle of the lane, within
+/// a time of `SETTLES_S` or `CAUGHT_S`. Corners of center lines become bends that vehicles can drive. Empty if it is in
+/// no lane.
 pub(crate) fn way_on(scene: &Scene, agent_idx: usize, length_m: f64, within_s: f64) -> Vec<Vec2> {
     let ended = Scene { n_history: scene.n_timesteps, ..scene.clone() };
     let lanes = SceneLanes::new(&scene.lanes);
