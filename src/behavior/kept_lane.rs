@@ -146,6 +146,15 @@ impl KeptLane {
         [1.0, -1.0].into_iter().all(|side| self.beyond_m(point, side).is_some_and(|beyond_m| beyond_m <= HYSTERESIS_M))
     }
 
+    /// Where the lane ends beside one that goes on, as at the end of a ramp: how far along its center line, and that
+    /// one. `None` if it goes on itself, or the map ends.
+    pub(super) fn ends_beside(&self, lanes: &SceneLanes<'_>) -> Option<(f64, Self)> {
+        let last = lanes.get(*self.lanes.last()?).filter(|last| last.lane.successors.is_empty())?.lane;
+        let mut beside = [last.left_neighbor, last.right_neighbor].into_iter().flatten().filter_map(|id| lanes.get(id));
+        let next = beside.find(|beside| !beside.lane.successors.is_empty())?;
+        Some((self.center.length_m() - EXTENSION_M, Self::from_lane(lanes, next)))
+    }
+
     /// Whether the two lanes lead into each other.
     pub(super) fn joins(&self, other: &Self) -> bool {
         self.lanes.iter().any(|lane| other.lanes.contains(lane))

@@ -14,6 +14,10 @@ const COMES_OVER_M: f64 = 4.5;
 /// Likewise, seconds at its speed: as drivers settle in a lane, and for who must not get any farther from it.
 pub(crate) const SETTLES_S: f64 = 0.8;
 pub(crate) const CAUGHT_S: f64 = 0.45;
+/// Before its lane ends beside another, an agent moves over to that one within so much, meters, but not within less
+/// than vehicles can.
+const MOVES_OVER_M: f64 = 50.0;
+const LEAST_OVER_M: f64 = 12.0;
 /// Within which time the heading comes to be that of the motion, seconds.
 const ALIGNS_S: f64 = 1.0;
 /// The largest angle to the lane, radians, and the largest curvature, 1/m, with which it begins.
@@ -24,9 +28,10 @@ const N_STEPS: usize = 3;
 const STANDING_MPS: f64 = 1.0;
 
 /// The points at which an agent continues after the last timestep of its track, which lasts to the end of the scene:
-/// along the lane that it is in there, the straightest at forks, for `length_m` or to the end of the map. From its own
-/// direction and bend it comes over to the middle of the lane, within a time of `SETTLES_S` or `CAUGHT_S`. Corners of
-/// center lines become bends that vehicles can drive. Empty if it is in no lane.
+/// along the lane that it is in there, the straightest at forks, and along the one beside it after its end, for
+/// `length_m` or to the end of the map. From its own direction and bend it comes over to the middle of the lane, within
+/// a time of `SETTLES_S` or `CAUGHT_S`. Corners of center lines become bends that vehicles can drive. Empty if it is in
+/// no lane.
 pub(crate) fn way_on(scene: &Scene, agent_idx: usize, length_m: f64, within_s: f64) -> Vec<Vec2> {
     let ended = Scene { n_history: scene.n_timesteps, ..scene.clone() };
     let lanes = SceneLanes::new(&scene.lanes);
@@ -35,7 +40,7 @@ pub(crate) fn way_on(scene: &Scene, agent_idx: usize, length_m: f64, within_s: f
         return Vec::new();
     };
     let Some(place) = lane.project(state.position) else { return Vec::new() };
-    let (middles, now) = rounded(lane, place.station_m, length_m);
+    let (middles, now) = rounded(lane, lane.ends_beside(&lanes).as_ref(), place.station_m, length_m);
     let Some(last) = middles.len().checked_sub(2).filter(|last| now < *last) else { return Vec::new() };
     let along = |i: usize| (middles[i + 1] - middles[i - 1]).unit();
     let (offset_m, lane_1pm) =
@@ -64,9 +69,18 @@ pub(crate) fn aligned_rad(course_rad: f64, slip_rad: f64, elapsed_s: f64) -> f64
 
 /// Points of the middle of a lane from before this station to `length_m` after it or its end, and the index of the one
 /// there. Each is the mean of those around it, twice over: a corner of 50 degrees becomes a bend with a radius of 7 m.
-fn rounded(lane: &KeptLane, station_m: f64, length_m: f64) -> (Vec<Vec2>, usize) {
+/// Where the lane `ends` beside another, they move over to the middle of that one.
+fn rounded(lane: &KeptLane, ends: Option<&(f64, KeptLane)>, station_m: f64, length_m: f64) -> (Vec<Vec2>, usize) {
     let now = 2 * ROUNDED_OVER + 2;
-    let at = |i: usize| lane.point_at((station_m + (i as f64 - now as f64) * SPACING_M).max(0.0));
+    let at = |i: usize| {
+        let at_m = (station_m + (i as f64 - now as f64) * SPACING_M).max(0.0);
+        let own = lane.point_at(at_m)?;
+        let Some((end_m, next)) = ends else { return Some(own) };
+        let from_m = station_m.max(end_m - MOVES_OVER_M);
+        let share = ((at_m - from_m) / (end_m - from_m).max(LEAST_OVER_M)).clamp(0.0, 1.0);
+        let beside = next.project(lane.point_at(at_m.min(*end_m))?)?.station_m + (at_m - end_m).max(0.0);
+        Some(own.lerp(next.point_at(beside)?, share * share * (3.0 - 2.0 * share)))
+    };
     let n = 2 * now + (length_m / SPACING_M).ceil() as usize;
     let mut points: Vec<Vec2> = (0..n).map_while(at).collect();
     for _ in 0..2 {
@@ -139,6 +153,26 @@ mod tests {
         for (i, share) in [(8, 2.5 / std::f64::consts::E), (17, 5.0 * (-2.0_f64).exp())] {
             assert!((way[i].y - 0.4 * share).abs() < 1e-9, "{:?}", way[i]);
         }
+    }
+
+    #[test]
+    fn an_agent_whose_lane_ends_moves_over_to_the_one_beside_it() {
+        // A ramp that ends after 70 m beside a lane that goes on, which bends later.
+        let lanes = lane_graph(
+            "lanes = [{ id = 1, centerline = [[-50, 0], [70, 0]], left_neighbor = 2 },
+                { id = 2, centerline = [[-50, 3.6], [70, 3.6]], right_neighbor = 1, successors = [3] },
+                { id = 3, centerline = [[70, 3.6], [90, 3.6], [190, 23.6]], predecessors = [2] }]",
+        );
+        let scene = Scene { lanes: Arc::new(lanes), ..testing::scene(&[Drive::straight(0.0, 0.0, 0.0, 10.0)]) };
+        let last = scene.state(0, scene.n_timesteps - 1).unwrap().position;
+        let way = way_on(&scene, 0, 120.0, SETTLES_S);
+        let beside_m = |x: f64| way.iter().min_by(|a, b| (a.x - x).abs().total_cmp(&(b.x - x).abs())).unwrap().y;
+        // Half over in the middle between the later of its own place and 50 m before the end, and the end.
+        let half_m = f64::midpoint(last.x.max(20.0), 70.0);
+        assert!((beside_m(half_m) - 1.8).abs() < 0.1 && beside_m(21.0) < 0.2, "{} {}", last.x, beside_m(half_m));
+        assert!((beside_m(72.0) - 3.6).abs() < 0.02 && (beside_m(120.0) - 9.6).abs() < 0.15, "{}", beside_m(120.0));
+        let turns = way.windows(3).map(|w| (w[2] - w[1]).angle() - (w[1] - w[0]).angle());
+        assert!(turns.fold(0.0, |most: f64, turn| most.max(turn.abs())) < 0.05);
     }
 
     #[test]

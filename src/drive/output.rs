@@ -5,7 +5,7 @@ use super::page::Cards;
 use super::pool::{Drives, of_driver};
 use super::rates::{Buckets, failure_rates};
 use super::report::DriveReport;
-use super::{DriveConfig, Error, Result, SplitFailures};
+use super::{DriveConfig, Error, FailureRates, Result, SplitFailures};
 use crate::coverage::Tags;
 use crate::files::AtomicFile;
 use crate::generate::{Futures, NamedDriver};
@@ -124,11 +124,16 @@ impl<'a> Output<'a> {
         Ok(writeln!(log, "== {scenario_id}: {}\n{}", driven.outcome.name(), driven.said.trim_end())?)
     }
 
+    /// The failures in 1,000 km of what was added, by the rates of these buckets.
+    pub(super) fn failure_rates(&self, buckets: &Buckets) -> Vec<FailureRates> {
+        failure_rates(&self.rows, self.config.ego.name_in_tables(), buckets)
+    }
+
     /// Writes what is not written yet. Returns the report, in which scenarios that could not be driven are `left_out`.
     pub(super) fn finish(
         self,
-        (left_out, buckets): (BTreeMap<String, u64>, Buckets),
-        split_rates: Option<Vec<SplitFailures>>,
+        left_out: BTreeMap<String, u64>,
+        (rates, split_rates): (Option<Vec<FailureRates>>, Option<Vec<SplitFailures>>),
     ) -> Result<DriveReport> {
         let Self { out, config, again: _, states, rows, tags, margins, log, cards, mut report } = self;
         states.finish()?;
@@ -136,8 +141,7 @@ impl<'a> Output<'a> {
         write_drives(&out.join(DRIVES_FILE), &rows)?;
         report.left_out = left_out;
         report.finish(&rows, config.ego.name_in_tables());
-        report.rates = config.rates.then(|| failure_rates(&rows, config.ego.name_in_tables(), &buckets));
-        report.split_rates = split_rates;
+        (report.rates, report.split_rates) = (rates, split_rates);
         report.margins = config.bisects.then(|| Margins::of(margins));
         let page = render_drives(&cards.page(&report, &rows, config.ego.name_in_tables(), &tags));
         write_atomically::<Error>(&out.join(DRIVE_PAGE), |file| Ok(file.write_all(page.as_bytes())?))?;

@@ -135,10 +135,18 @@ fn rates(report: &DriveReport) -> Option<PlainTable> {
         }
     }
     for at in report.split_rates.iter().flatten() {
-        let (none, [own, careful]) =
-            (String::new, [at.per_1000_km, at.careful_per_1000_km].map(|rate| rate.to_string()));
-        let place = format!("{} by loops", at.place).trim_start().to_owned();
-        table.push(vec![place, none(), none(), none(), own, careful, none(), none()]);
+        let all = ("by loops".to_owned(), [at.per_1000_km, at.careful_per_1000_km]);
+        let agree = at.agree.map_or("", |[own, _]| if own { ", as by buckets" } else { ", not as by buckets" });
+        let in_buckets = (format!("by loops, in events of the buckets{agree}"), at.in_buckets);
+        let others = at
+            .others
+            .iter()
+            .map(|(outcome, rates)| (format!("by loops, others: {}", outcome.replace('_', " ")), *rates));
+        for (what, rates) in [all, in_buckets].into_iter().chain(others) {
+            let (none, [own, careful]) = (String::new, rates.map(|rate| rate.to_string()));
+            let place = format!("{} {what}", at.place).trim_start().to_owned();
+            table.push(vec![place, none(), none(), none(), own, careful, none(), none()]);
+        }
     }
     Some(table)
 }

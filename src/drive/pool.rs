@@ -3,7 +3,8 @@
 use super::external::External;
 use super::kept::Kept;
 use super::margin::Margin;
-use super::{DriveConfig, EgoDriver, Origin, Result, SaveAt, SplitFailures};
+use super::{DriveConfig, EgoDriver, FailureRates, Origin, Result, SaveAt, SplitFailures};
+use crate::behavior::{Behavior, BehaviorConfig, BehaviorEvent};
 use crate::generate::{Futures, NamedDriver};
 use crate::progress::Progress;
 use crate::rates::ModeledTraffic;
@@ -13,6 +14,7 @@ use crate::simulate::{
 };
 use crate::store::SceneStore;
 use rayon::ThreadPool;
+use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
@@ -72,15 +74,20 @@ impl<'a> Pool<'a> {
 }
 
 impl Pool<'_> {
-    /// Failures of the driver under test, and of the careful one, in loops that begin with the scenes at `positions`.
+    /// Failures of the driver under test, and of the careful one, in loops that begin with the scenes at `positions`:
+    /// in events of these buckets, which definitions with default options find, or not.
     pub(super) fn split(
         &mut self,
         config: &RatesConfig,
-        store: &SceneStore,
-        positions: &[usize],
+        (store, positions): (&SceneStore, &[usize]),
+        by_buckets: &[FailureRates],
         progress: &dyn Progress,
     ) -> Result<Vec<SplitFailures>> {
-        let loops = Modeling { config, futures: self.futures, store, behaviors: &[] };
+        let ids: BTreeSet<&str> = by_buckets.iter().flat_map(FailureRates::behaviors).collect();
+        let behaviors = ids.into_iter().filter_map(BehaviorConfig::from_id);
+        let behaviors: Vec<Box<dyn Behavior>> = behaviors.map(|config| config.build()).collect();
+        let is_tested = |place: &str, event: &BehaviorEvent| by_buckets.iter().any(|at| at.holds(place, event));
+        let loops = Modeling { config, futures: self.futures, store, behaviors: &behaviors };
         let mut of = |driver: Option<NamedDriver>| -> Result<ModeledTraffic> {
             let at = |worker: &Worker| {
                 let is_asked = |(name, _): &(String, _)| driver.is_some_and(|driver| name == driver.name());
@@ -89,9 +96,9 @@ impl Pool<'_> {
             let workers = self.workers.iter_mut().map(|worker| (at(worker), worker));
             let mut workers: Vec<LoopWorker<'_>> =
                 workers.map(|(at, worker)| (&worker.pool, &mut worker.drivers[at].1)).collect();
-            Ok(loops.drive(positions, &mut workers, progress)?.0)
+            Ok(loops.drive(positions, &mut workers, &is_tested, progress)?.0)
         };
-        Ok(SplitFailures::of(&[of(None)?, of(Some(NamedDriver::Careful))?]))
+        Ok(SplitFailures::of(&[of(None)?, of(Some(NamedDriver::Careful))?], by_buckets))
     }
 }
 

@@ -1,10 +1,11 @@
 //! How often would a driver fail on the roads of the corpus? The rates of the events that it was tested with, times the
 //! shares of them that it fails.
 
+use crate::behavior::BehaviorEvent;
 use crate::generate::NamedDriver;
 use crate::rates::{Asked, BucketRate, ModeledTraffic, Within};
 use crate::scenario::{DriveRow, ScenarioRecord};
-use crate::simulate::{FAILURE, Outcome};
+use crate::simulate::{FAILURE, Outcome, TESTED_FAILURE};
 use crate::statistics::{Estimate, wilson_interval};
 use crate::store::CorpusManifest;
 use serde::Serialize;
@@ -38,22 +39,41 @@ pub struct SplitFailures {
     pub careful_per_1000_km: Estimate,
     /// Ends of loops in which either fails.
     pub n_failed: [u64; 2],
+    /// Those failures of both in events that the driven buckets hold. They are what the sum over buckets is of.
+    pub in_buckets: [Estimate; 2],
+    /// Whether the intervals of these and of the sum over buckets overlap, for either driver; `None` without such a
+    /// sum, as for all places together.
+    pub agree: Option<[bool; 2]>,
+    /// The other failures of both, by outcome.
+    pub others: BTreeMap<&'static str, [Estimate; 2]>,
 }
 
 impl SplitFailures {
-    /// Those at each place, from the loops of the driver under test and of the careful one.
-    pub(super) fn of(traffic: &[ModeledTraffic; 2]) -> Vec<Self> {
+    /// Those at each place, from the loops of the driver under test and of the careful one, beside sums over buckets.
+    pub(super) fn of(traffic: &[ModeledTraffic; 2], by_buckets: &[FailureRates]) -> Vec<Self> {
         let places = traffic[0].places();
         let everywhere = (places.len() > 1).then_some(None);
-        let at = |place: Option<&str>| {
-            let all = Within::default();
-            let rates = traffic.each_ref().map(|traffic| {
-                let row = traffic.rate(Asked { place, split: None, behavior: FAILURE, within: &all })?;
+        let all = Within::default();
+        let rates = |place: Option<&str>, behavior: &str| {
+            let [own, careful] = traffic.each_ref().map(|traffic| {
+                let row = traffic.rate(Asked { place, split: None, behavior, within: &all })?;
                 Some((Estimate::new(row.rate_per_1000_km?, row.per_1000_km?), row.n_events))
             });
-            let [Some((per_1000_km, n)), Some((careful_per_1000_km, n_careful))] = rates else { return None };
-            let place = place.unwrap_or_default().to_owned();
-            Some(Self { place, per_1000_km, careful_per_1000_km, n_failed: [n, n_careful] })
+            let ((own, n_own), (careful, n_careful)) = own.zip(careful)?;
+            Some(([own, careful], [n_own, n_careful]))
+        };
+        let at = |place: Option<&str>| {
+            let ([per_1000_km, careful_per_1000_km], n_failed) = rates(place, FAILURE)?;
+            let (in_buckets, _) = rates(place, TESTED_FAILURE)?;
+            let sums = by_buckets.iter().find(|at| place == Some(at.place.as_str()));
+            let sums = sums.and_then(|at| at.per_1000_km.zip(at.careful_per_1000_km));
+            let agree = sums.map(|(own, careful)| [own.overlaps(in_buckets[0]), careful.overlaps(in_buckets[1])]);
+            let others = Outcome::ALL.iter().filter_map(|outcome| {
+                let (others, n) = rates(place, outcome.name())?;
+                (n != [0, 0]).then_some((outcome.name(), others))
+            });
+            let (others, place) = (others.collect(), place.unwrap_or_default().to_owned());
+            Some(Self { place, per_1000_km, careful_per_1000_km, n_failed, in_buckets, agree, others })
         };
         everywhere.into_iter().chain(places.iter().map(|place| Some(*place))).filter_map(at).collect()
     }
@@ -107,6 +127,21 @@ impl BucketFailures {
 }
 
 impl FailureRates {
+    /// The behaviors of the buckets.
+    pub(super) fn behaviors(&self) -> impl Iterator<Item = &str> {
+        self.buckets.iter().map(|bucket| bucket.behavior.as_str())
+    }
+
+    /// Whether a bucket of the sum holds an event at a place.
+    pub(super) fn holds(&self, place: &str, event: &BehaviorEvent) -> bool {
+        let value = |name: &str| event.parameters.get(name).copied();
+        let is_in = |bucket: &BucketFailures| {
+            let within = bucket.within.parse::<Within>();
+            bucket.behavior == event.behavior && within.is_ok_and(|within| within.holds(value))
+        };
+        self.place == place && self.buckets.iter().any(is_in)
+    }
+
     /// The bucket whose interval contributes most to that of the sum: more scenarios or recordings of it tell most.
     pub fn widest(&self) -> Option<&BucketFailures> {
         self.buckets.iter().max_by(|a, b| a.of_interval.total_cmp(&b.of_interval))
@@ -179,7 +214,7 @@ pub(super) fn has_failed(row: &DriveRow) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::rates::RateSource;
+    use crate::rates::{ModeledEvent, ModeledLoop, RateSource};
     use crate::statistics::Interval;
 
     #[test]
@@ -226,5 +261,57 @@ mod tests {
         // What was never recorded adds what that allows.
         let never = &at.buckets[2];
         assert!(never.per_1000_km.value == 0.0 && (0.2..0.5).contains(&never.per_1000_km.interval.high), "{never:?}");
+    }
+
+    #[test]
+    fn loops_are_compared_in_the_events_of_the_buckets_and_other_failures_are_named() {
+        let interval = Interval { low: 1.0, high: 5.0 };
+        let sum = Some(Estimate::new(3.0, interval));
+        let bucket = BucketFailures {
+            behavior: "cut_in".to_owned(),
+            within: "gap_m 0..5".to_owned(),
+            rate: Estimate::new(10.0, interval),
+            rate_source: "recorded",
+            n_scenarios: 10,
+            n_failed: 3,
+            per_1000_km: Estimate::new(3.0, interval),
+            careful_per_1000_km: Estimate::new(3.0, interval),
+            of_rate: 1.0,
+            of_interval: 1.0,
+        };
+        let (place, buckets) = ("A".to_owned(), vec![bucket]);
+        let at = FailureRates { place, per_1000_km: sum, careful_per_1000_km: sum, buckets, n_without_rate: 0 };
+        let record = crate::simulate::testing::record();
+        let event = |behavior: &str, gap_m: f64| BehaviorEvent {
+            behavior: behavior.to_owned(),
+            parameters: [("gap_m".to_owned(), gap_m)].into(),
+            ..record.main_event().unwrap().clone()
+        };
+        let held = [("A", "cut_in", 4.0), ("A", "cut_in", 5.0), ("A", "cut_out", 4.0), ("B", "cut_in", 4.0)]
+            .map(|(place, behavior, gap_m)| at.holds(place, &event(behavior, gap_m)));
+        assert_eq!(held, [true, false, false, false]);
+        // Of two loops of 1 km, half of the copies of each fail: one in an event of the buckets, the other by itself.
+        let traffic = |kinds: &[&str]| ModeledTraffic {
+            loops: [0, 1]
+                .map(|i| ModeledLoop {
+                    place: "A".to_owned(),
+                    recording: "1".to_owned(),
+                    observed_h: 0.1,
+                    motorized_km: 1.0,
+                    events: (kinds.get(i).into_iter().flat_map(|kind| [FAILURE, *kind]))
+                        .map(|of| ModeledEvent { behavior: of.to_owned(), parameters: Vec::new(), weight: 0.5 })
+                        .collect(),
+                })
+                .into(),
+        };
+        let found = SplitFailures::of(&[traffic(&[TESTED_FAILURE, "left_road"]), traffic(&[])], &[at]);
+        let [found] = found.as_slice() else { panic!("one place") };
+        assert_eq!((found.per_1000_km.value, found.n_failed, found.agree), (500.0, [2, 0], Some([false, true])));
+        // The exact intervals of one event and of none (Garwood 1936), at half the weight and at the whole.
+        let [own, careful] = found.in_buckets;
+        let expected = [250.0, 0.025_318 * 250.0, 5.571_643 * 250.0, 0.0, 0.0, 3.688_879 * 500.0];
+        let ends = [own, careful].map(|of| [of.value, of.interval.low, of.interval.high]).concat();
+        assert!(ends.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-3 * b.max(1.0)), "{ends:?}");
+        assert_eq!(found.others, [("left_road", [own, careful])].into());
     }
 }

@@ -57,11 +57,16 @@ pub fn drive_corpus(
         }
     }
     progress.finish();
+    let (left_out, buckets) = starts.finish()?;
+    let rates = config.rates.then(|| output.failure_rates(&buckets));
     let split = match config.split.as_ref().zip(scenes.as_ref()) {
-        Some((split, scenes)) => Some(pool.split(split, scenes, &loop_starts, progress)?),
+        Some((split, scenes)) => {
+            let by_buckets = rates.as_deref().unwrap_or_default();
+            Some(pool.split(split, (scenes, &loop_starts), by_buckets, progress)?)
+        }
         None => None,
     };
-    let report = output.finish(starts.finish()?, split)?;
+    let report = output.finish(left_out, (rates, split))?;
     folder.commit()?;
     if kept.n_found() > 0 {
         progress.warn(&format!(

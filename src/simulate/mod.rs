@@ -56,7 +56,7 @@ mod world;
 
 pub use driver::{Driver, Failed, Peeker};
 pub use error::{Error, Result};
-pub use modeled::{FAILURE, LoopFigures, Modeling, RatesConfig, Severity};
+pub use modeled::{FAILURE, LoopFigures, Modeling, RatesConfig, Severity, TESTED_FAILURE};
 pub use new_scenes::{AddedConfig, LoopCounts, NewScenes, SituationsConfig, TakeScenes};
 pub use outcome::{Contact, Outcome, Side};
 pub use rollout::{Driven, Others, RolloutConfig, roll_out};

@@ -58,6 +58,11 @@ impl Estimate {
         Self::new(value, Interval { low: (value - below).max(0.0), high: value + above })
     }
 
+    /// Whether both intervals have values in common.
+    pub fn overlaps(self, other: Self) -> bool {
+        self.interval.low <= other.interval.high && other.interval.low <= self.interval.high
+    }
+
     /// The factor between the ends of the interval; infinite if one of them is zero.
     pub fn span(self) -> f64 {
         if self.interval.low > 0.0 { self.interval.high / self.interval.low } else { f64::INFINITY }

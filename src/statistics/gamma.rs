@@ -14,8 +14,9 @@ pub(super) fn gamma_quantile(p: f64, shape: f64) -> f64 {
     while distribution(high, shape) < p && high.is_finite() {
         (low, high) = (high, 2.0 * high);
     }
-    // Bisection, until the ends agree; quantiles near zero need more steps than the 53 of their digits.
-    while high - low > 4.0 * f64::EPSILON * high {
+    // Bisection, until the ends agree; quantiles near zero need more steps than the 53 of their digits, and some are
+    // less than numbers can be.
+    while high - low > 4.0 * f64::EPSILON * high && high > f64::MIN_POSITIVE {
         let middle = 0.5 * (low + high);
         if distribution(middle, shape) < p { low = middle } else { high = middle }
     }

@@ -167,13 +167,21 @@ fn write_rates(text: &mut String, report: &DriveReport) {
             );
         }
     }
-    for SplitFailures { place, per_1000_km, careful_per_1000_km, .. } in report.split_rates.iter().flatten() {
+    for at in report.split_rates.iter().flatten() {
+        let SplitFailures { place, per_1000_km, careful_per_1000_km, in_buckets: [own, careful], .. } = at;
         let place = if place.is_empty() { "all places" } else { place };
         let _ = writeln!(
             text,
             "by loops at {place}, it fails {per_1000_km} times in 1,000 km, the careful driver {careful_per_1000_km} \
              times"
         );
+        let agree = at.agree.map_or("", |[own, _]| {
+            if own { ", which agrees with the buckets" } else { ", which does not agree with the buckets" }
+        });
+        let _ = writeln!(text, "  in events of the buckets {own}{agree}, the careful driver {careful}");
+        for (outcome, [own, careful]) in &at.others {
+            let _ = writeln!(text, "  others: {outcome} {own}, the careful driver {careful}");
+        }
     }
     if report.rates.iter().flatten().all(|at| at.buckets.is_empty()) && report.rates.is_some() {
         let _ = writeln!(

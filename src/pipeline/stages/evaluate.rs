@@ -52,7 +52,7 @@ impl Stage for Evaluate<'_> {
     }
 
     fn version(&self) -> u32 {
-        26
+        27
     }
 
     fn check(&self) -> Result<()> {

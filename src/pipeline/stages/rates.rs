@@ -57,7 +57,7 @@ impl Stage for Rates<'_> {
     }
 
     fn version(&self) -> u32 {
-        8
+        9
     }
 
     fn check(&self) -> Result<()> {

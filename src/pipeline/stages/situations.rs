@@ -28,7 +28,7 @@ impl Stage for Situations<'_> {
     }
 
     fn version(&self) -> u32 {
-        8
+        9
     }
 
     fn check(&self) -> Result<()> {

@@ -13,8 +13,14 @@ use std::cell::RefCell;
 /// Events that begin in the last seconds of a loop do not count, for they may not be complete.
 const TO_COMPLETE_S: f64 = 3.0;
 
-/// What a failure of a driver is counted as.
+/// What a failure of a driver is counted as; and as what else, if it is in an event that it is tested with. Others are
+/// counted as their outcome, too.
 pub const FAILURE: &str = "failure";
+/// See [`FAILURE`].
+pub const TESTED_FAILURE: &str = "tested_failure";
+
+/// Whether a driver is tested with such an event at a place.
+pub(crate) type IsTested<'a> = dyn Fn(&str, &BehaviorEvent) -> bool + Sync + 'a;
 
 pub(super) struct Start {
     pub(super) situation: Situation,
@@ -29,6 +35,7 @@ pub(super) struct Common<'a> {
     pub(super) futures: &'a Futures<'a>,
     pub(super) behaviors: &'a [Box<dyn Behavior>],
     pub(super) severities: Vec<f64>,
+    pub(super) is_tested: &'a IsTested<'a>,
 }
 
 /// A split loop: what counts, how many futures were sampled, and the weights of the ends that passed each level.
@@ -131,7 +138,7 @@ impl Common<'_> {
     }
 
     /// Adds an end: its time, its way, and the events that begin after the present and long enough before the horizon;
-    /// of a driver that is not the model, its own way and whether it failed.
+    /// of a driver that is not the model, its own way and whether it failed, in an event that it is tested with or not.
     fn count(&self, start: &Start, world: &World, of_driver: Option<Outcome>, weight: f64, counted: &mut ModeledLoop) {
         let (scene, ego_idx) = (&start.situation.scene, start.situation.ego_idx);
         let from = scene.n_history;
@@ -147,11 +154,18 @@ impl Common<'_> {
             counted.motorized_km += weight * driven_m / 1000.0;
         }
         if let Some(outcome) = of_driver {
-            let failure = ModeledEvent { behavior: FAILURE.to_owned(), parameters: Vec::new(), weight };
-            counted.events.extend(outcome.is_failure().then_some(failure));
+            let is_tested = |(frame, event): &(usize, BehaviorEvent)| {
+                *frame < world.now() && (self.is_tested)(&scene.source.place, event)
+            };
+            if outcome.is_failure() {
+                let is_tested = self.events(start, world, Some(ego_idx)).iter().any(is_tested);
+                let kind = if is_tested { TESTED_FAILURE } else { outcome.name() };
+                let failure = |of: &str| ModeledEvent { behavior: of.to_owned(), parameters: Vec::new(), weight };
+                counted.events.extend([FAILURE, kind].map(failure));
+            }
             return;
         }
-        for (frame, event) in self.events(start, world) {
+        for (frame, event) in self.events(start, world, None) {
             if (from..until).contains(&frame) {
                 let BehaviorEvent { behavior, parameters, .. } = event;
                 counted.events.push(ModeledEvent { behavior, parameters: parameters.into_iter().collect(), weight });
@@ -160,8 +174,8 @@ impl Common<'_> {
     }
 
     /// The events of a loop, each once, with their first timesteps: found in windows as of recordings, and counted by
-    /// the same code.
-    fn events(&self, start: &Start, world: &World) -> Vec<(usize, BehaviorEvent)> {
+    /// the same code; all of them, or those that happen to one agent.
+    fn events(&self, start: &Start, world: &World, to: Option<usize>) -> Vec<(usize, BehaviorEvent)> {
         let scene = &start.situation.scene;
         let n_timesteps = scene.n_timesteps.min(world.n_timesteps());
         let last = world.n_timesteps() - n_timesteps;
@@ -173,7 +187,10 @@ impl Common<'_> {
             window.tracks.retain(|track| track.trajectory.valid().next().is_some());
             window.id = SceneId(format!("loop@{first}"));
             let events = self.behaviors.iter().flat_map(|behavior| behavior.detect(&window));
-            let events: Vec<BehaviorEvent> = events.filter(|event| !event.is_of_parked(&window)).collect();
+            let happens_to = |event: &BehaviorEvent| event.subject_idx(&window).map(|idx| &window.tracks[idx].id);
+            let is_asked = |event: &BehaviorEvent| to.is_none_or(|to| happens_to(event) == Some(&scene.tracks[to].id));
+            let is_counted = |event: &BehaviorEvent| is_asked(event) && !event.is_of_parked(&window);
+            let events: Vec<BehaviorEvent> = events.filter(is_counted).collect();
             let shown = SceneExposure::of(&window);
             if let Some(at) = exposure.add(&shown) {
                 found.extend(occurrences.add(&shown, at, &events, &exposure));
@@ -182,5 +199,46 @@ impl Common<'_> {
         found.extend(occurrences.finish());
         let first_frame = |event: &BehaviorEvent| SceneId::window_of(&event.scene_id.0).map_or(0, |(_, first)| first);
         found.into_iter().map(|(event, _)| (first_frame(&event) as usize + event.start_timestep, event)).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::behavior::BehaviorConfig;
+    use crate::simulate::testing::{model, record, situation};
+
+    #[test]
+    fn a_failure_is_tested_in_an_event_that_happens_to_the_ego_and_began_before() {
+        let (record, model) = (record(), model());
+        let futures = Futures::new(&model, 3, &candle_core::Device::Cpu).unwrap();
+        let (event, scene) = (record.main_event().unwrap(), &record.scenario.scene);
+        let behaviors = [BehaviorConfig::from_id(&event.behavior).unwrap().build()];
+        let tracks = scene.tracks.iter().map(|track| track.trajectory.entries());
+        let whole = World::new(&record.scenario.id, 3, 0, tracks);
+        let kinds = |ego_idx: usize, world: &World, place: &str, [from, to]: [f64; 2]| {
+            let is_tested = |at: &str, event: &BehaviorEvent| {
+                at == place && event.parameters.get("gap_m").is_some_and(|gap_m| (from..to).contains(gap_m))
+            };
+            let (futures, config) = (&futures, &RatesConfig::default());
+            let common =
+                Common { config, futures, behaviors: &behaviors, severities: Vec::new(), is_tested: &is_tested };
+            let mut situation = situation(&record);
+            situation.ego_idx = ego_idx;
+            let start = Start { situation, recording: String::new(), n_every: scene.n_timesteps };
+            let mut counted = ModeledLoop::default();
+            common.count(&start, world, Some(Outcome::Survived), 0.5, &mut counted);
+            common.count(&start, world, Some(Outcome::Hit), 0.5, &mut counted);
+            counted.events.into_iter().map(|event| (event.behavior, event.weight)).collect::<Vec<_>>()
+        };
+        let (place, gap_m) = (scene.source.place.as_str(), event.parameters["gap_m"]);
+        let (bucket, ego_idx) = ([gap_m - 0.5, gap_m + 0.5], record.subject_idx().unwrap());
+        let other_idx = event.roles.tracks().filter_map(|id| scene.track_idx(id)).find(|idx| *idx != ego_idx).unwrap();
+        let of = |kind: &str| vec![(FAILURE.to_owned(), 0.5), (kind.to_owned(), 0.5)];
+        assert_eq!(kinds(ego_idx, &whole, place, bucket), of(TESTED_FAILURE));
+        assert_eq!(kinds(ego_idx, &whole, place, [gap_m + 0.5, gap_m + 9.0]), of("hit"));
+        assert_eq!(kinds(ego_idx, &whole, "elsewhere", bucket), of("hit"));
+        assert_eq!(kinds(other_idx, &whole, place, bucket), of("hit"));
+        assert_eq!(kinds(ego_idx, &whole.until(event.start_timestep), place, bucket), of("hit"));
     }
 }

@@ -5,7 +5,7 @@
 mod looped;
 mod severity;
 
-pub use looped::FAILURE;
+pub use looped::{FAILURE, TESTED_FAILURE};
 pub use severity::Severity;
 
 use super::maps::Maps;
@@ -18,7 +18,7 @@ use crate::rates::ModeledTraffic;
 use crate::scene::SceneId;
 use crate::settings::{Issue, Result as Checked};
 use crate::store::SceneStore;
-use looped::{Common, Start};
+use looped::{Common, IsTested, Start};
 use rayon::ThreadPool;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -136,15 +136,17 @@ impl Modeling<'_> {
         let worker = |_| Ok((pool_of_worker()?, named(NamedDriver::Model)));
         let mut workers = (0..rayon::current_num_threads()).map(worker).collect::<Result<Vec<_>>>()?;
         let mut workers: Vec<LoopWorker<'_>> = workers.iter_mut().map(|(pool, driver)| (&*pool, driver)).collect();
-        self.drive(positions, &mut workers, progress)
+        self.drive(positions, &mut workers, &|_, _| false, progress)
     }
 
     /// Lets these drivers, which are alike, drive the ego of loops, and the model everybody else. Of drivers other than
-    /// the model, their own ways and time are counted, and each failure as an event [`FAILURE`].
+    /// the model, their own ways and time are counted, and each failure as an event [`FAILURE`] and as one more: is it
+    /// in an event of `behaviors` that `is_tested`, which happens to the ego?
     pub(crate) fn drive(
         &self,
         positions: &[usize],
         workers: &mut [LoopWorker<'_>],
+        is_tested: &IsTested<'_>,
         progress: &dyn Progress,
     ) -> Result<(ModeledTraffic, LoopFigures)> {
         let Self { config, futures, behaviors, .. } = *self;
@@ -152,7 +154,7 @@ impl Modeling<'_> {
         let checked = config.validate().and_then(|()| config.check(futures.dt_s(), future_s));
         checked.map_err(|issue| Error::Config(issue.within("rates").to_string()))?;
         let severities = config.levels.iter().map(|level| config.severity.signed(*level)).collect();
-        let common = Common { config, futures, behaviors, severities };
+        let common = Common { config, futures, behaviors, severities, is_tested };
         let mut maps = Maps::new(self.store, self.store);
         let n_positions = positions.len().max(1);
         let of_loop = |i: usize| positions.get(i % n_positions).map(|position| (*position, i / n_positions));
@@ -308,7 +310,7 @@ mod tests {
             let driver = Remembers::default();
             let (traffic, figures) = run_with(config, 1, |modeling| {
                 let (pool, mut own): (_, Box<dyn Driver>) = (pool_of_worker().unwrap(), Box::new(driver.clone()));
-                modeling.drive(&[0], &mut [(&pool, &mut own)], &Silent).unwrap()
+                modeling.drive(&[0], &mut [(&pool, &mut own)], &|_, _| false, &Silent).unwrap()
             });
             let noted = *driver.noted.lock().unwrap();
             (traffic, figures, noted)
