@@ -4,8 +4,8 @@
 //!
 //! `GuidedDenoiser` follows log potentials over noisy tensors (the classifier of a pair), `CleanGuidedDenoiser` those
 //! over decoded clean estimates (the objectives), and `ClassifierFreeDenoiser` mixes two denoisers that are conditioned
-//! on more and on less. `RememberingDenoiser` saves what several strengths have in common. Each wraps a denoiser and is one, so they nest. Objectives see meters and radians, never
-//! diffused states.
+//! on more and on less. `RememberingDenoiser` saves what several strengths have in common. Each wraps a denoiser and is
+//! one, so they nest. Objectives see meters and radians, never diffused states.
 
 mod agent_selector;
 mod classifier;
