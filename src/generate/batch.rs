@@ -4,20 +4,22 @@ use super::conditioning::{Conditioned, Wanted, noisy_guide, without_wanted_veloc
 use super::guide::Guided;
 use super::{Cell, ClassifierFreeConfig, Diffusion, Error, Generator, ResolvedSweep};
 use crate::diffusion::{Denoiser, NoiseSource, Step};
-use crate::guidance::{ClassifierFreeDenoiser, ForwardDenoiser, MaskChange};
+use crate::guidance::{ClassifierFreeDenoiser, ForwardDenoiser, MaskChange, RememberingDenoiser};
 use crate::progress::Progress;
 use crate::scene::{GuidanceLevel, Scene, UnfitScene};
 use crate::tensor::{FutureValidity, LeastProgress, SceneBatch, SceneView};
 use candle_core::Tensor;
 use std::ops::Range;
 
-/// The cells of one batch with their conditioning, the samples of each, and the strength or weight.
+/// The cells of one batch with their conditioning, and the samples of each.
 pub(super) struct Batch<'a> {
     pub(super) sweep: &'a ResolvedSweep,
     pub(super) cells: Vec<(&'a Cell, &'a Conditioned)>,
     pub(super) samples: Range<usize>,
-    pub(super) level: GuidanceLevel,
 }
+
+/// The results of a batch at one level: of all samples of its first cell, then of all of the next.
+pub(super) type Draws = Vec<Result<Draw, UnfitScene>>;
 
 /// The result of one sample.
 #[derive(Debug, Clone)]
@@ -28,23 +30,20 @@ pub(super) struct Draw {
 }
 
 impl Generator<'_> {
-    /// The samples of a batch: all of its first cell, then all of the next.
+    /// The samples of a batch at each of these strengths or weights.
     pub(super) fn sample(
         &self,
         batch: &Batch<'_>,
+        levels: &[GuidanceLevel],
         progress: &dyn Progress,
-    ) -> Result<Vec<Result<Draw, UnfitScene>>, Error> {
+    ) -> Result<Vec<Draws>, Error> {
         match batch.sweep.diffusion() {
-            Some(diffusion) => self.sample_denoiser(batch, diffusion, progress),
-            None => self.sample_baseline(batch, progress),
+            Some(diffusion) => self.sample_denoiser(batch, diffusion, levels, progress),
+            None => levels.iter().map(|_| self.sample_baseline(batch, progress)).collect(),
         }
     }
 
-    fn sample_baseline(
-        &self,
-        batch: &Batch<'_>,
-        progress: &dyn Progress,
-    ) -> Result<Vec<Result<Draw, UnfitScene>>, Error> {
+    fn sample_baseline(&self, batch: &Batch<'_>, progress: &dyn Progress) -> Result<Draws, Error> {
         let given: Vec<&Conditioned> = batch.cells.iter().map(|(_, given)| *given).collect();
         let predicted = self.predict(batch.sweep, &given, batch.samples.clone())?;
         progress.advance(predicted.len() as u64);
@@ -56,24 +55,25 @@ impl Generator<'_> {
         &self,
         batch: &Batch<'_>,
         diffusion: &Diffusion,
+        levels: &[GuidanceLevel],
         progress: &dyn Progress,
-    ) -> Result<Vec<Result<Draw, UnfitScene>>, Error> {
+    ) -> Result<Vec<Draws>, Error> {
         let agents: Vec<(usize, usize)> = batch.cells.iter().map(|(_, given)| given.agents).collect();
         let views: Vec<SceneView<'_>> = batch.cells.iter().map(|(_, given)| given.view()).collect();
         let tensors = self.collator.collate(&views, FutureValidity::Everything, self.device)?;
         let n_samples = batch.samples.len();
         let denoiser = self.denoiser(batch.sweep)?;
         let bound = denoiser.network.bind(&tensors, n_samples)?;
-        let wanted = match diffusion.classifier_free.as_ref().filter(|_| batch.level.weight != 0.0) {
-            Some(config) => Some(self.wanted_states(config, batch, &tensors)?),
-            None => None,
-        };
+        let remembering = RememberingDenoiser::new(&bound);
+        // Comparing states would wait for a GPU.
+        let shares = levels.len() > 1 && self.device.is_cpu();
+        let bound: &dyn Denoiser = if shares { &remembering } else { &bound };
         let (own, tensors) = (&tensors, tensors.repeated(n_samples)?);
         let cells: Vec<(&Cell, &Scene)> = batch.cells.iter().map(|(cell, given)| (*cell, &given.scene)).collect();
-        let guided = Guided {
+        let guided_at = |level: GuidanceLevel| Guided {
             sweep: batch.sweep,
             diffusion,
-            level: batch.level,
+            level,
             cells: &cells,
             agents: &agents,
             batch: own,
@@ -83,31 +83,32 @@ impl Generator<'_> {
         };
         let given: Vec<&Scene> = batch.cells.iter().map(|(_, given)| &given.scene).collect();
         let least = LeastProgress::new(own, &given, n_samples)?;
-        let denoise = |denoiser: &dyn Denoiser| self.denoise(&guided, denoiser, progress);
-        let forward = |inner: &dyn Denoiser| match &least {
-            Some(least) => self.guided(&guided, &ForwardDenoiser { inner, batch: &tensors, least }, denoise),
-            None => self.guided(&guided, inner, denoise),
-        };
-        let x = match wanted {
-            Some(extended) => {
-                let change = MaskChange::new(&tensors, &extended)?;
-                let conditional = denoiser.network.bind(&extended, 1)?;
-                let leaning = ClassifierFreeDenoiser {
-                    unconditional: &bound,
-                    conditional: &conditional,
-                    change: &change,
-                    weight: batch.level.weight,
-                };
-                forward(&leaning)?
-            }
-            None => forward(&bound)?,
-        };
         let sources: Vec<&Scene> =
             batch.cells.iter().flat_map(|(_, given)| std::iter::repeat_n(&given.scene, n_samples)).collect();
-        let scenes = tensors.decode_scenes(&x, &sources)?;
-        progress.advance(scenes.len() as u64);
-        let draw = |scene| Ok(Draw { scene: checked(scene)?, probability: None });
-        Ok(scenes.into_iter().map(draw).collect())
+        let at_level = |level: &GuidanceLevel| {
+            let guided = guided_at(*level);
+            let denoise = |denoiser: &dyn Denoiser| self.denoise(&guided, denoiser, progress);
+            let forward = |inner: &dyn Denoiser| match &least {
+                Some(least) => self.guided(&guided, &ForwardDenoiser { inner, batch: &tensors, least }, denoise),
+                None => self.guided(&guided, inner, denoise),
+            };
+            let x = match diffusion.classifier_free.as_ref().filter(|_| level.weight != 0.0) {
+                Some(config) => {
+                    let extended = self.wanted_states(config, batch, own)?;
+                    let change = MaskChange::new(&tensors, &extended)?;
+                    let conditional = denoiser.network.bind(&extended, 1)?;
+                    let (conditional, change, weight) = (&conditional, &change, level.weight);
+                    forward(&ClassifierFreeDenoiser { unconditional: bound, conditional, change, weight })?
+                }
+                None => forward(bound)?,
+            };
+            remembering.begin_again();
+            let scenes = tensors.decode_scenes(&x, &sources)?;
+            progress.advance(scenes.len() as u64);
+            let draw = |scene| Ok(Draw { scene: checked(scene)?, probability: None });
+            Ok(scenes.into_iter().map(draw).collect())
+        };
+        levels.iter().map(at_level).collect()
     }
 
     /// The samples of a batch, one a row, with their target states observed as well.

@@ -103,14 +103,9 @@ impl<'a> Futures<'a> {
         let scene_id = asked.name.into();
         let cell = Cell { scene_idx: 0, scene_id, roles: Roles::default(), targets: Vec::new() };
         let given = Conditioned::new(asked.scene.clone(), asked.mask.clone(), asked.center_idx);
-        let batch = Batch {
-            sweep,
-            cells: vec![(&cell, &given)],
-            samples: asked.step..asked.step + n,
-            level: GuidanceLevel::UNGUIDED,
-        };
-        let drawn = generator.sample(&batch, &Silent)?;
-        Ok(drawn.into_iter().map(|draw| draw.map(|draw| draw.scene)).collect())
+        let batch = Batch { sweep, cells: vec![(&cell, &given)], samples: asked.step..asked.step + n };
+        let drawn = generator.sample(&batch, &[GuidanceLevel::UNGUIDED], &Silent)?;
+        Ok(drawn.into_iter().flatten().map(|draw| draw.map(|draw| draw.scene)).collect())
     }
 
     fn generator<'b>(&'b self, scenes: &'b super::SceneLoader<'b>) -> Generator<'b> {

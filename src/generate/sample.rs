@@ -1,13 +1,14 @@
 //! How does a shard of the plan become scenarios? Scenes of similar size form batches, and their samples are checked.
 
-use super::batch::{Batch, Draw};
+use super::batch::{Batch, Draw, Draws};
 use super::conditioning::{Conditioned, Templates, Variant};
 use super::{Cell, Error, Generator, ResolvedSweep, ShardPlan, requested_events};
 use crate::metrics::PairPath;
-use crate::nn::in_pool;
+use crate::nn::side_by_side;
 use crate::progress::Progress;
 use crate::scenario::ScenarioRecord;
 use crate::scene::{GuidanceLevel, Scene, SceneId, UnfitScene};
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::ops::Range;
 
@@ -88,7 +89,7 @@ struct Before {
 }
 
 /// Decides whether to generate a batch, given its level, cells and samples.
-type BatchChoice<'a> = dyn Fn(GuidanceLevel, &[usize], &Range<usize>) -> bool + 'a;
+type BatchChoice<'a> = dyn Fn(GuidanceLevel, &[usize], &Range<usize>) -> bool + Sync + 'a;
 
 impl Generator<'_> {
     /// Generates a shard. Progress advances by one for each sample.
@@ -111,21 +112,31 @@ impl Generator<'_> {
         let scenes: Vec<Scene> =
             shard.cells.iter().map(|cell| self.load(cell.scene_idx, &cell.scene_id)).collect::<Result<_, _>>()?;
         let given = self.given(sweep, shard, &scenes)?;
+        let batches = self.batches(sweep, &scenes, &given);
+        let draw = |(members, samples): &(Vec<usize>, Range<usize>)| -> Result<Vec<(GuidanceLevel, Draws)>, Error> {
+            if progress.must_stop() {
+                return Err(Error::Stopped);
+            }
+            let is_chosen = |level: &GuidanceLevel| is_chosen(*level, members, samples);
+            let levels: Vec<GuidanceLevel> = sweep.levels().iter().copied().filter(is_chosen).collect();
+            if levels.is_empty() {
+                return Ok(Vec::new());
+            }
+            let cells = members.iter().map(|at| (&shard.cells[*at], given.of(*at, samples.start))).collect();
+            let batch = Batch { sweep, cells, samples: samples.clone() };
+            let draws = self.sample(&batch, &levels, progress)?;
+            Ok(levels.into_iter().zip(draws).collect())
+        };
+        let mut drawn = side_by_side(self.device, &batches, draw)?;
         let mut sampled: Vec<Vec<Sampled>> = vec![Vec::new(); shard.cells.len()];
         for &level in sweep.levels() {
-            for (members, samples) in self.batches(sweep, &scenes, &given) {
-                if !is_chosen(level, &members, &samples) {
-                    continue;
-                }
-                if progress.must_stop() {
-                    return Err(Error::Stopped);
-                }
-                let cells = members.iter().map(|at| (&shard.cells[*at], given.of(*at, samples.start))).collect();
-                let batch = Batch { sweep, cells, samples: samples.clone(), level };
-                let mut draws = in_pool(self.device, || self.sample(&batch, progress))?.into_iter();
+            for ((members, samples), drawn) in batches.iter().zip(&mut drawn) {
+                let at_level = drawn.iter_mut().find(|(of_level, _)| *of_level == level);
+                let Some((_, draws)) = at_level else { continue };
+                let mut draws = std::mem::take(draws).into_iter();
                 for at in members {
                     let own = samples.clone().zip(draws.by_ref().take(samples.len()));
-                    sampled[at].extend(own.map(|(sample_idx, draw)| {
+                    sampled[*at].extend(own.map(|(sample_idx, draw)| {
                         let draw = draw.map_err(|UnfitScene(why)| Rejection::Unfit(why));
                         Sampled { level, sample_idx, draw }
                     }));
@@ -141,8 +152,8 @@ impl Generator<'_> {
                 own.extend(repeated);
             }
         }
-        let mut output = ShardOutput::default();
-        for (at, (scene, sampled)) in scenes.iter().zip(sampled).enumerate() {
+        let of_cell = |(at, (scene, sampled)): (usize, (&Scene, Vec<Sampled>))| -> Result<ShardOutput, Error> {
+            let mut output = ShardOutput::default();
             let cell = &shard.cells[at];
             let is_recorded = |behavior| !sampled.is_empty() && requested_events(behavior, &cell.roles, scene).0;
             let recorded_event = self.behavior(sweep).is_some_and(is_recorded);
@@ -161,6 +172,13 @@ impl Generator<'_> {
                     }
                 }
             }
+            Ok(output)
+        };
+        let of_cells = scenes.par_iter().zip(sampled).enumerate().map(of_cell).collect::<Result<Vec<_>, Error>>()?;
+        let mut output = ShardOutput::default();
+        for ShardOutput { records, rejected } in of_cells {
+            output.records.extend(records);
+            output.rejected.extend(rejected);
         }
         output.records.iter_mut().for_each(|record| record.shard = shard.idx);
         Ok(output)
@@ -169,7 +187,7 @@ impl Generator<'_> {
     /// The conditioning of the samples of each cell of a shard.
     fn given(&self, sweep: &ResolvedSweep, shard: &ShardPlan, scenes: &[Scene]) -> Result<Given, Error> {
         let n_own = if sweep.uses_template() { sweep.n_samples } else { 1 };
-        let of_cells = shard.cells.iter().zip(scenes).enumerate().map(|(at, (cell, scene))| {
+        let of_cells = shard.cells.par_iter().zip(scenes).enumerate().map(|(at, (cell, scene))| {
             let agents = agents(cell, scene)?;
             if let Some(planned) = shard.templates.get(at) {
                 let mut templates = Templates::new(planned.iter().max().map_or(0, |last| last + 1));

@@ -4,8 +4,8 @@
 //!
 //! `GuidedDenoiser` follows log potentials over noisy tensors (the classifier of a pair), `CleanGuidedDenoiser` those
 //! over decoded clean estimates (the objectives), and `ClassifierFreeDenoiser` mixes two denoisers that are conditioned
-//! on more and on less. Each wraps a denoiser and is one, so they nest. Objectives see meters and radians, never
-//! diffused states.
+//! on more and on less. `RememberingDenoiser` saves what several strengths have in common. Each wraps a denoiser and is
+//! one, so they nest. Objectives see meters and radians, never diffused states.
 
 mod agent_selector;
 mod classifier;
@@ -16,6 +16,7 @@ mod guided_denoiser;
 mod lane_ways;
 mod mask_change;
 mod objectives;
+mod remembering_denoiser;
 mod road_corridors;
 mod scene_context;
 #[cfg(test)]
@@ -36,6 +37,7 @@ pub use objectives::{
     AccelerationLimit, Collision, CutIn, HardBrake, LaneChange, NoCollision, ObjectiveConfig, ObjectiveKind,
     SceneObjective, Side, SlipLimit, StayOnRoad,
 };
+pub use remembering_denoiser::RememberingDenoiser;
 pub use scene_context::{ContextRow, SceneContext, Target};
 
 use candle_core::{Result, Tensor};

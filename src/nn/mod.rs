@@ -4,8 +4,8 @@
 //! Tensors carry agents' states as (B, A, T, D): batch, agent, timestep, feature. Masks are (B, A, T) or (B, L) of 0
 //! and 1. Layers describe the network once; [`ops`] chooses between the fused and the plain implementations.
 //!
-//! `in_pool` runs a network on a thread of the pool; `kernels::vectorized` compiles loops for the processor's widest
-//! vector instructions.
+//! `in_pool` runs a network on a thread of the pool, and `side_by_side` several; `kernels::vectorized` compiles loops
+//! for the processor's widest vector instructions.
 
 mod adam;
 mod attention;
@@ -36,7 +36,7 @@ pub use linear::Linear;
 pub use memory::keep_freed_memory;
 pub use mlp::Mlp;
 pub use params::{Init, Params, Scope};
-pub use pool::in_pool;
+pub use pool::{in_pool, side_by_side};
 pub use precision::Precision;
 
 #[cfg(test)]

@@ -8,7 +8,7 @@ use super::motion_modes::MotionModes;
 use super::observation_errors::FadingErrors;
 use super::reference::Reference;
 use super::{AgentFrame, FeatureLayout, FutureValidity, SceneView, StateParametrization};
-use crate::geometry::{Vec2, angle_difference, unwrap_angles};
+use crate::geometry::{Transform2, Vec2, angle_difference, unwrap_angles};
 use crate::scene::{Scene, Track};
 
 pub(super) struct AgentRow<'a> {
@@ -25,8 +25,8 @@ pub(super) struct AgentRow<'a> {
     /// Whether x is relative to the reference, in the agent's own frame. An agent never observed has no reference: it
     /// is diffused in the ego frame, in scene units.
     is_residual: bool,
-    /// The heading of the agent's frame in the ego frame.
-    frame_heading_rad: f64,
+    /// The rotation of the ego frame in the agent's frame.
+    own_from_ego: Transform2,
     unit: [f64; 3],
     /// Whether its heading follows from its motion instead of being generated.
     derives_heading: bool,
@@ -88,7 +88,7 @@ impl<'a> AgentRow<'a> {
             entries,
             is_observed_at_all,
             is_residual,
-            frame_heading_rad,
+            own_from_ego: Transform2::from_pose(Vec2::ZERO, -frame_heading_rad),
             unit,
             derives_heading,
             texture: [1.0; 3],
@@ -121,8 +121,9 @@ impl<'a> AgentRow<'a> {
 
     /// Writes every entry, and returns the modes of the agent's motion if the collator has `Sight`.
     pub(super) fn write(&self, rows: &mut BatchBuffers) -> Option<MotionModes> {
-        let (sin, cos) = (self.frame_heading_rad.sin() as f32, self.frame_heading_rad.cos() as f32);
-        rows.rotation[self.at * 2..self.at * 2 + 2].copy_from_slice(&[cos, sin]);
+        // The agent's frame in the ego frame is turned the other way.
+        let Vec2 { x: cos, y: sin } = self.own_from_ego.vector(Vec2::new(1.0, 0.0));
+        rows.rotation[self.at * 2..self.at * 2 + 2].copy_from_slice(&[cos as f32, (0.0 - sin) as f32]);
         rows.unit[self.at * 3..self.at * 3 + 3].copy_from_slice(&self.unit.map(|unit| unit as f32));
         let headings = self.recorded_headings();
         let bases = self.bases(&headings);
@@ -206,7 +207,7 @@ impl<'a> AgentRow<'a> {
     fn residual(&self, timestep: usize, base: Base, recorded_heading_rad: f64) -> Option<[f64; 3]> {
         let state = self.track.trajectory.get(timestep)?;
         let offset = self.frame.ego_from_scene.point(state.position) - base.position;
-        let offset = offset.rotated(-self.frame_heading_rad);
+        let offset = self.own_from_ego.vector(offset);
         let turn = match (self.derives_heading, self.is_residual) {
             (true, _) => 0.0,
             (false, true) => angle_difference(recorded_heading_rad, base.heading_rad),

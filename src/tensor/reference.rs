@@ -1,7 +1,7 @@
 //! The kinematic reference of an agent: its observed states, interpolated and extrapolated.
 
 use super::MotionCovariance;
-use crate::geometry::{Vec2, angle_difference, wrap_angle};
+use crate::geometry::{Transform2, Vec2, angle_difference, wrap_angle};
 use crate::scene::{State, Track};
 
 /// Position and heading by an agent's observed states alone.
@@ -18,6 +18,8 @@ pub(super) struct Reference<'a> {
     observed: Vec<(usize, &'a State)>,
     /// Place among the observed states of the last one up to the present, or of the first one after it.
     anchor: usize,
+    /// The rotation of the agent's own frame.
+    rotation: Transform2,
     dt_s: f64,
     /// Number of observed steps from which its motion after the last observed state is predicted.
     n_past: usize,
@@ -32,7 +34,9 @@ impl<'a> Reference<'a> {
         let observed: Vec<(usize, &State)> =
             track.trajectory.valid().filter(|(timestep, _)| observed(*timestep)).collect();
         let anchor = observed.partition_point(|(timestep, _)| *timestep <= present).saturating_sub(1);
-        Self { observed, anchor, dt_s, n_past: 0, added: Vec::new() }
+        let heading_rad = observed.get(anchor).map_or(0.0, |(_, state)| state.heading_rad);
+        let rotation = Transform2::from_pose(Vec2::ZERO, heading_rad);
+        Self { observed, anchor, rotation, dt_s, n_past: 0, added: Vec::new() }
     }
 
     /// The reference that continues from the present as `covariance` predicts from the steps up to it, without turning
@@ -58,8 +62,8 @@ impl<'a> Reference<'a> {
 
     /// The heading of the agent's own frame: that of its last observed state up to the present, so that observing goals
     /// beside a history does not turn it, or otherwise of its first one; 0 for an agent never observed.
-    pub(super) fn frame_heading_rad(&self) -> f64 {
-        self.observed.get(self.anchor).map_or(0.0, |(_, state)| state.heading_rad)
+    pub(super) const fn frame_heading_rad(&self) -> f64 {
+        self.rotation.rotation_rad()
     }
 
     /// The timestep of the state that the agent's own frame is taken from; 0 for an agent never observed.
@@ -77,10 +81,11 @@ impl<'a> Reference<'a> {
     /// radians).
     pub(super) fn observed_motion(&self) -> impl Iterator<Item = (usize, [f64; 3])> + '_ {
         let carried = self.observed.get(self.anchor).map_or(Vec2::ZERO, |(_, state)| state.velocity * self.dt_s);
+        let own_from_scene = Transform2::from_pose(Vec2::ZERO, -self.frame_heading_rad());
         self.observed.windows(2).map(move |pair| {
             let [(t0, from), (t1, to)] = pair else { return (0, [0.0; 3]) };
             let n = (t1 - t0) as f64;
-            let moved = ((to.position - from.position) * n.recip() - carried).rotated(-self.frame_heading_rad());
+            let moved = own_from_scene.vector((to.position - from.position) * n.recip() - carried);
             (*t1, [moved.x, moved.y, angle_difference(to.heading_rad, from.heading_rad) / n])
         })
     }
@@ -115,7 +120,7 @@ impl<'a> Reference<'a> {
         let beyond = i.saturating_sub(last) as f64;
         let sum = |dim: usize| self.added[i.min(last)][dim] + beyond * (self.added[last][dim] - before[dim]);
         ReferencePose {
-            position: carried.position + Vec2::new(sum(0), sum(1)).rotated(self.frame_heading_rad()),
+            position: carried.position + self.rotation.vector(Vec2::new(sum(0), sum(1))),
             heading_rad: wrap_angle(carried.heading_rad + sum(2)),
         }
     }

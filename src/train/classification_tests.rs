@@ -16,6 +16,7 @@ use crate::store::testing::event as event_of;
 use crate::tensor::{FutureValidity, StateParametrization};
 use candle_core::{Device, Tensor};
 use std::path::Path;
+use std::sync::Mutex;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 /// Scenes, some of which hold a cut-in.
@@ -97,6 +98,7 @@ fn labels_count_as_in_uniform_draws_times_the_weight_of_positive_ones() {
             pos_weight,
             batch_size: 16,
             seed: Seed(6),
+            ahead: Mutex::default(),
         };
         let expected = share_of_positive * (-1f64).exp().ln_1p() + (1.0 - share_of_positive) * 1f64.exp().ln_1p();
         let loss = scalar(&task.loss(0).unwrap());

@@ -12,6 +12,7 @@ use crate::seed::Seed;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::io::Write;
+use std::sync::Mutex;
 
 /// Pairs to train on at most; negative ones are dropped first, until half are positive. They are held in memory, some
 /// kilobytes each.
@@ -108,6 +109,7 @@ pub fn train_classifier(
         pos_weight: spec.pos_weight,
         batch_size: config.batch_size,
         seed: job.seed,
+        ahead: Mutex::default(),
     };
     let outcome = fit(&fit_config, &mut model.params, &task, job)?;
     let by_noise_level = task.report()?;

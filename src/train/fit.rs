@@ -148,11 +148,15 @@ impl Run {
         let step = self.position.step;
         in_pool(params.device(), || {
             let loss = task.loss(step)?;
-            let gradients = loss.backward()?;
-            // A GPU has only queued this work. The host prepares the next scenes before it waits for a result.
-            if step + 1 < config.steps {
-                task.prepare(step + 1)?;
+            let prepare = || if step + 1 < config.steps { task.prepare(step + 1) } else { Ok(()) };
+            if params.device().is_cpu() {
+                let descend = || self.descend(config, params, &loss, &loss.backward()?);
+                let (descended, prepared) = rayon::join(descend, prepare);
+                return descended.and(prepared);
             }
+            // A GPU has only queued this work. The host prepares the next scenes before it waits for a result.
+            let gradients = loss.backward()?;
+            prepare()?;
             self.descend(config, params, &loss, &gradients)
         })
     }

@@ -69,7 +69,7 @@ pub use fit::{FitOutcome, FitStatistics, fit};
 pub use fit_config::{FitConfig, LearningRateDecay};
 pub use joint_futures::{JointFuturesTask, JointLoss};
 pub use labeled_pairs::{LabeledPair, Labels, MinedEvent};
-pub use pair_examples::{NoisyPairs, PairExample, PairExamples};
+pub use pair_examples::{NoisyBatch, NoisyPairs, PairExample, PairExamples};
 pub use preset::Preset;
 pub use scene_draws::{DrawnBatch, Prefetched, SceneDataset, SceneDraws, WeightedGroups};
 pub use section::{MoreScenes, OwnScenes, SceneChoice, SceneTraining};

@@ -3,9 +3,9 @@
 use super::{Error, LabeledPair, Labels, SceneDataset};
 use crate::diffusion::{NoiseDistribution, NoiseSource, rows_like};
 use crate::model::{BehaviorClassifier, ClassifierSpec};
-use crate::scene::{LaneGraph, ObservationMask, Scene};
+use crate::scene::{LaneGraph, ObservationMask, Scene, Track};
 use crate::seed::Seed;
-use crate::tensor::{Collator, FutureValidity, SceneBatch, SceneView};
+use crate::tensor::{Collator, FutureValidity, PairFeatures, SceneView};
 use candle_core::{Device, Tensor};
 use rayon::prelude::*;
 use std::ops::Range;
@@ -38,8 +38,11 @@ impl PairExamples {
         let loaded: Vec<Vec<PairExample>> = by_scene
             .par_iter()
             .map(|pairs| {
-                let scene = dataset.scene(pairs[0].scene_idx).map_err(Error::Scene)?;
-                pairs.iter().map(|pair| Ok(PairExample::new(&scene, pair.agents(&scene)?))).collect()
+                let mut scene = dataset.scene(pairs[0].scene_idx).map_err(Error::Scene)?;
+                let agents = pairs.iter().map(|pair| pair.agents(&scene)).collect::<Result<Vec<_>, Error>>()?;
+                let tracks = std::mem::take(&mut scene.tracks);
+                let bare = Scene { ego_idx: 0, lanes: Arc::new(LaneGraph::default()), ..scene };
+                Ok(agents.into_iter().map(|agents| PairExample::new(&bare, &tracks, agents)).collect())
             })
             .collect::<Result<_, Error>>()?;
         let labels = Labels::new(pairs.iter().map(|pair| pair.is_positive).collect());
@@ -58,13 +61,13 @@ impl PairExamples {
 }
 
 impl PairExample {
-    fn new(scene: &Scene, (first, second): (usize, usize)) -> Self {
+    /// The example of two of the `tracks` of a scene that is `bare` of them and of lanes.
+    fn new(bare: &Scene, tracks: &[Track], (first, second): (usize, usize)) -> Self {
         let mut kept = vec![first, second];
         kept.dedup();
         let pair = (0, kept.len() - 1);
-        let tracks = kept.iter().map(|track_idx| scene.tracks[*track_idx].clone()).collect();
-        let scene = Scene { tracks, ego_idx: 0, lanes: Arc::new(LaneGraph::default()), ..scene.clone() };
-        Self { scene, pair }
+        let tracks = kept.iter().map(|track_idx| tracks[*track_idx].clone()).collect();
+        Self { scene: Scene { tracks, ..bare.clone() }, pair }
     }
 }
 
@@ -82,24 +85,37 @@ pub struct NoisyPairs<'a> {
     pub device: &'a Device,
 }
 
-impl NoisyPairs<'_> {
-    /// The logits (B) of pairs at the noise levels `sigmas`, with noise from `noise`.
-    fn logits(
-        &self,
-        classifier: &BehaviorClassifier,
-        examples: &[&PairExample],
-        sigmas: &[f64],
-        noise: &mut NoiseSource,
-    ) -> Result<Tensor, Error> {
-        let batch = self.collate(examples)?;
-        let pairs: Vec<(usize, usize)> = examples.iter().map(|example| example.pair).collect();
-        let sigma_rows = rows_like(sigmas.to_vec(), &batch.x0)?;
-        let x = (&batch.x0 + noise.draw_like(&batch.x0)?.broadcast_mul(&sigma_rows)?)?;
-        let features = self.spec.features(&batch, &pairs)?;
-        Ok(classifier.logits(&features, &x, &sigma_rows.flatten_all()?)?)
-    }
+/// Some pairs as the classifier sees them, and their states without noise.
+struct CleanPairs {
+    features: PairFeatures,
+    x0: Tensor,
+}
 
-    fn collate(&self, examples: &[&PairExample]) -> Result<SceneBatch, Error> {
+impl CleanPairs {
+    /// Their states (B, A, T, D) and noise levels (B), with noise of levels `sigmas` drawn from `seeds`.
+    fn noisy(&self, sigmas: Vec<f64>, seeds: Vec<Seed>) -> Result<[Tensor; 2], Error> {
+        let sigmas = rows_like(sigmas, &self.x0)?;
+        let noise = NoiseSource::new(seeds).draw_like(&self.x0)?.broadcast_mul(&sigmas)?;
+        Ok([(&self.x0 + noise)?, sigmas.flatten_all()?])
+    }
+}
+
+/// The pairs of a training step under noise.
+pub struct NoisyBatch {
+    clean: CleanPairs,
+    noisy: [Tensor; 2],
+}
+
+impl NoisyBatch {
+    /// The logits (B).
+    pub fn logits(&self, classifier: &BehaviorClassifier) -> Result<Tensor, Error> {
+        let [x, sigmas] = &self.noisy;
+        Ok(classifier.logits(&self.clean.features, x, sigmas)?)
+    }
+}
+
+impl NoisyPairs<'_> {
+    fn collate(&self, examples: &[&PairExample]) -> Result<CleanPairs, Error> {
         let masks: Vec<ObservationMask> = examples
             .iter()
             .map(|PairExample { scene, .. }| {
@@ -118,7 +134,9 @@ impl NoisyPairs<'_> {
             max_lanes: 0,
             sight: None,
         };
-        Ok(collator.collate(&views, FutureValidity::Recorded, self.device)?)
+        let batch = collator.collate(&views, FutureValidity::Recorded, self.device)?;
+        let pairs: Vec<(usize, usize)> = examples.iter().map(|example| example.pair).collect();
+        Ok(CleanPairs { features: self.spec.features(&batch, &pairs)?, x0: batch.x0.clone() })
     }
 
     /// Labels of the pairs to train on, which include both kinds, and of the held-out pairs.
@@ -126,27 +144,30 @@ impl NoisyPairs<'_> {
         [&self.train.labels, &self.held_out.labels]
     }
 
-    /// The logits (B) of these training pairs, each at the noise level and with the noise that its seed draws.
-    pub fn training_logits(
-        &self,
-        classifier: &BehaviorClassifier,
-        pairs: &[usize],
-        seeds: Vec<Seed>,
-    ) -> Result<Tensor, Error> {
+    /// These training pairs, each at the noise level and with the noise that its seed draws.
+    pub fn training_batch(&self, pairs: &[usize], seeds: Vec<Seed>) -> Result<NoisyBatch, Error> {
         let examples: Vec<&PairExample> = pairs.iter().map(|i| &self.train.examples[*i]).collect();
         let sigmas: Vec<f64> = seeds.iter().map(|seed| self.noise.draw(&mut seed.derive("sigma", &[]).rng())).collect();
-        self.logits(classifier, &examples, &sigmas, &mut NoiseSource::new(seeds))
+        let clean = self.collate(&examples)?;
+        Ok(NoisyBatch { noisy: clean.noisy(sigmas, seeds)?, clean })
     }
 
-    /// The logits (B) of held-out pairs at noise level `sigma`, each with the noise that its seed draws.
+    /// The logits (B) of held-out pairs at each of the noise levels `sigmas`, with the noise that `seed` draws for a
+    /// level and a pair.
     pub fn held_out_logits(
         &self,
         classifier: &BehaviorClassifier,
         pairs: Range<usize>,
-        sigma: f64,
-        seeds: Vec<Seed>,
-    ) -> Result<Tensor, Error> {
-        let examples: Vec<&PairExample> = self.held_out.examples[pairs].iter().collect();
-        self.logits(classifier, &examples, &vec![sigma; examples.len()], &mut NoiseSource::new(seeds))
+        sigmas: &[f64],
+        seed: impl Fn(usize, usize) -> Seed,
+    ) -> Result<Vec<Tensor>, Error> {
+        let examples: Vec<&PairExample> = self.held_out.examples[pairs.clone()].iter().collect();
+        let clean = self.collate(&examples)?;
+        let at_level = |(level, sigma): (usize, &f64)| {
+            let seeds = pairs.clone().map(|i| seed(level, i)).collect();
+            let [x, sigmas] = clean.noisy(vec![*sigma; pairs.len()], seeds)?;
+            Ok(classifier.logits(&clean.features, &x, &sigmas)?)
+        };
+        sigmas.iter().enumerate().map(at_level).collect()
     }
 }

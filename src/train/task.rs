@@ -10,8 +10,8 @@ pub trait TrainTask: Sync {
     /// resumed run takes the same steps.
     fn loss(&self, step: u64) -> Result<Tensor, Error>;
 
-    /// Prepares the batch of the next step in advance. It is called while a GPU computes the previous step, and must
-    /// not wait for it.
+    /// Prepares the batch of the next step in advance. It is called while the device computes the previous step, and
+    /// must not wait for it.
     fn prepare(&self, _step: u64) -> Result<(), Error> {
         Ok(())
     }

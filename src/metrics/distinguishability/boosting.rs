@@ -26,11 +26,14 @@ struct BinnedFeature {
     /// Increasing, one fewer than there are bins of numbers.
     thresholds: Vec<f64>,
     has_missing: bool,
+    /// The place of its first bin among those of all features.
+    first: usize,
 }
 
 impl BinnedFeature {
-    /// Bins by quantiles; one for each value if there are no more values than bins.
-    fn new(column: &[f64]) -> Self {
+    /// Bins by quantiles; one for each value if there are no more values than bins. `first` is the number of bins of
+    /// the features before it.
+    fn new(column: &[f64], first: usize) -> Self {
         let mut sorted: Vec<f64> = column.iter().copied().filter(|x| !x.is_nan()).collect();
         sorted.sort_by(f64::total_cmp);
         let mut distinct = sorted.clone();
@@ -50,11 +53,16 @@ impl BinnedFeature {
         let missing = thresholds.len() as u8 + 1;
         let bin = |x: &f64| if x.is_nan() { missing } else { thresholds.partition_point(|t| t < x) as u8 };
         let bins = column.iter().map(bin).collect();
-        Self { bins, thresholds, has_missing: sorted.len() < column.len() }
+        Self { bins, thresholds, has_missing: sorted.len() < column.len(), first }
     }
 
     const fn missing_bin(&self) -> usize {
         self.thresholds.len() + 1
+    }
+
+    /// The place after its last bin.
+    const fn end(&self) -> usize {
+        self.first + self.missing_bin() + 1
     }
 }
 
@@ -85,8 +93,8 @@ impl Sums {
     }
 }
 
-/// The sums of each bin of each feature.
-type Histograms = Vec<Vec<Sums>>;
+/// The sums of each bin of each feature, feature by feature. Nodes that are too small to be split have none.
+type Histograms = Vec<Sums>;
 
 /// The best split of a node.
 struct Split {
@@ -105,6 +113,12 @@ struct Growing {
     sums: Sums,
     /// Before shrinkage.
     value: f64,
+}
+
+impl Growing {
+    const fn can_be_split(&self) -> bool {
+        self.rows.len() >= 2 * MIN_LEAF_ROWS
+    }
 }
 
 /// A node that can be split.
@@ -136,7 +150,10 @@ impl BoostedTrees {
     /// Fits trees to `columns` (one for each feature, NaN where it is missing) of rows; `is_second` tells which are in
     /// the second class. Minimizes the mean of -log p(class).
     pub(super) fn fit(columns: &[Vec<f64>], is_second: &[bool]) -> Self {
-        let features: Vec<BinnedFeature> = columns.iter().map(|column| BinnedFeature::new(column)).collect();
+        let mut features: Vec<BinnedFeature> = Vec::with_capacity(columns.len());
+        for column in columns {
+            features.push(BinnedFeature::new(column, features.last().map_or(0, BinnedFeature::end)));
+        }
         let n = is_second.len();
         let share = is_second.iter().filter(|second| **second).count() as f64 / n as f64;
         let share = share.clamp(f64::EPSILON, 1.0 - f64::EPSILON);
@@ -182,7 +199,8 @@ fn grow(features: &[BinnedFeature], derivatives: &[[f32; 2]], scores: &mut [f64]
     let (mut open, mut leaves): (Vec<Splittable>, Vec<Growing>) = (Vec::new(), Vec::new());
     let rows: Vec<u32> = (0..scores.len() as u32).collect();
     let histograms = histograms_of(features, derivatives, &rows);
-    let sums = histograms.first().into_iter().flatten().fold(Sums::default(), |sum, bin| sum.plus(*bin));
+    let of_first = &histograms[..features.first().map_or(0, BinnedFeature::end)];
+    let sums = of_first.iter().fold(Sums::default(), |sum, bin| sum.plus(*bin));
     let root = Growing { at: 0, rows, sums, value: 0.0 };
     match best_split(features, &histograms, &root) {
         Some(split) => open.push(Splittable { node: root, histograms, split }),
@@ -244,17 +262,17 @@ fn divided(node: &Growing, feature: &BinnedFeature, split: &Split, [left, right]
 /// The sums over `rows`, bin by bin.
 fn histograms_of(features: &[BinnedFeature], derivatives: &[[f32; 2]], rows: &[u32]) -> Histograms {
     let ordered: Vec<[f32; 2]> = rows.iter().map(|row| derivatives[*row as usize]).collect();
-    let of_feature = |feature: &BinnedFeature| {
-        let mut sums = vec![Sums::default(); feature.missing_bin() + 1];
+    let mut histograms = vec![Sums::default(); features.last().map_or(0, BinnedFeature::end)];
+    for feature in features {
+        let sums = &mut histograms[feature.first..feature.end()];
         for (row, [gradient, hessian]) in rows.iter().zip(&ordered) {
             let bin = &mut sums[usize::from(feature.bins[*row as usize])];
             bin.gradient += f64::from(*gradient);
             bin.hessian += f64::from(*hessian);
             bin.n += 1;
         }
-        sums
-    };
-    features.iter().map(of_feature).collect()
+    }
+    histograms
 }
 
 /// The sums over the rows of two children: only the smaller child is counted, the other has the rest.
@@ -264,17 +282,20 @@ fn histograms_of_children(
     mut parent: Histograms,
     [left, right]: &[Growing; 2],
 ) -> (Histograms, Histograms) {
+    if !left.can_be_split() && !right.can_be_split() {
+        return Default::default();
+    }
     let left_is_smaller = left.rows.len() < right.rows.len();
     let smaller = histograms_of(features, derivatives, if left_is_smaller { &left.rows } else { &right.rows });
-    for (sum, counted) in parent.iter_mut().flatten().zip(smaller.iter().flatten()) {
+    for (sum, counted) in parent.iter_mut().zip(&smaller) {
         *sum = sum.minus(*counted);
     }
     if left_is_smaller { (smaller, parent) } else { (parent, smaller) }
 }
 
 /// The split that lowers the loss most, the first among equals; `None` if none lowers it.
-fn best_split(features: &[BinnedFeature], histograms: &Histograms, node: &Growing) -> Option<Split> {
-    if node.rows.len() < 2 * MIN_LEAF_ROWS {
+fn best_split(features: &[BinnedFeature], histograms: &[Sums], node: &Growing) -> Option<Split> {
+    if !node.can_be_split() {
         return None;
     }
     let mut best: Option<Split> = None;
@@ -289,13 +310,19 @@ fn best_split(features: &[BinnedFeature], histograms: &Histograms, node: &Growin
             best = Some(Split { gain, feature, bin, missing_left, left });
         }
     };
-    for (idx, (feature, bins)) in features.iter().zip(histograms).enumerate() {
+    // The part that grows from bin to bin leaves the other too few rows.
+    let is_too_large = |part: Sums| node.rows.len() < part.n as usize + MIN_LEAF_ROWS;
+    for (idx, feature) in features.iter().enumerate() {
+        let bins = &histograms[feature.first..feature.end()];
         let n_thresholds = feature.thresholds.len();
         let mut left = Sums::default();
         for (bin, sums) in bins.iter().enumerate().take(n_thresholds + usize::from(feature.has_missing)) {
             // After an empty bin the split is the same.
             if sums.n > 0 {
                 left = left.plus(*sums);
+                if is_too_large(left) {
+                    break;
+                }
                 offer(idx, bin, false, left);
             }
         }
@@ -304,6 +331,9 @@ fn best_split(features: &[BinnedFeature], histograms: &Histograms, node: &Growin
             for bin in (0..n_thresholds).rev() {
                 if bins[bin + 1].n > 0 {
                     right = right.plus(bins[bin + 1]);
+                    if is_too_large(right) {
+                        break;
+                    }
                     offer(idx, bin, true, node.sums.minus(right));
                 }
             }
