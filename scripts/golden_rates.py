@@ -20,6 +20,7 @@ CLUSTERS = {
     "independent": [(4, 1.0), (9, 2.0), (13, 3.0), (5, 1.0)],
     "clustered": [(0, 1.0), (31, 1.5), (2, 1.0), (0, 0.5), (12, 2.0)],
     "without exposure": [(3, 1.0), (0, 0.0), (9, 1.5)],
+    "an event where next to none is expected": [(1, 0.001), (0, 1.0), (2, 1.0), (0, 1.5)],
 }
 
 
@@ -30,7 +31,8 @@ def interval(clusters):
     rate = n.sum() / exposure.sum()
     dispersion = None
     if len(n) > 1:
-        dispersion = max(1.0, stats.chisquare(n, rate * exposure).statistic / (len(n) - 1)) if n.sum() else 1.0
+        # The variance of a ratio over that of a Poisson variable.
+        dispersion = max(1.0, len(n) * np.var(n - rate * exposure, ddof=1) / n.sum()) if n.sum() else 1.0
     alike, scale = n.sum() / (dispersion or 1.0), (dispersion or 1.0) / exposure.sum()
     low = stats.chi2.ppf(0.025, 2 * alike) / 2 * scale if alike else 0.0
     return [rate, low, stats.chi2.ppf(0.975, 2 * alike + 2) / 2 * scale, dispersion]

@@ -154,7 +154,7 @@ def series(runs):
 
 def dispersion(n, exposure):
     expected = n.sum() / exposure.sum() * exposure
-    return max(1.0, float(((n - expected) ** 2 / expected).sum() / (len(n) - 1))) if n.sum() else 1.0
+    return max(1.0, float(((n - expected) ** 2).sum() / n.sum() * len(n) / (len(n) - 1))) if n.sum() else 1.0
 
 
 def interval(n, exposure, is_clustered):

@@ -106,7 +106,7 @@ impl Level {
         }
         Err(match is_tried {
             true => "no generalized Pareto distribution fits the recorded tail",
-            false => "fewer than 30 events are beyond any threshold",
+            false => "fewer than 30 events to begin from",
         })
     }
 
@@ -126,7 +126,7 @@ impl Level {
         }
         let found = Estimate::new(beyond.rate, beyond.interval).times(Estimate::new(share, of_share));
         if n_beyond as f64 / beyond.rate * found.interval.high * TIMES_RECORDED < 1.0 {
-            return Err("expected less than once in ten times what was recorded");
+            return Err("one would be expected in more than ten times what was recorded");
         }
         if found.span() > WIDEST {
             return Err("the interval would span more than a factor of 100");

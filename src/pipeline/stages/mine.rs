@@ -93,7 +93,7 @@ impl Stage for Mine<'_> {
     }
 
     fn version(&self) -> u32 {
-        16
+        17
     }
 
     fn check(&self) -> Result<()> {

@@ -167,8 +167,11 @@ fn a_level_that_was_not_passed_is_extrapolated_or_not_with_the_reason() {
     assert_eq!(row.note.as_deref(), Some("from 399 events with pet_s beyond 2.999"));
     assert!((row.rate_per_hour / expected).ln().abs() < 1.0, "{} of {expected}", row.rate_per_hour);
     assert!(row.per_hour.low < expected && expected < row.per_hour.high);
-    let reasons =
-        [("pet_s -9..0", "no time"), ("pet_s -9..0.05", "less than once"), ("pet_s 0.2..0.3", "far end of the bucket")];
+    let reasons = [
+        ("pet_s -9..0", "no time"),
+        ("pet_s -9..0.05", "more than ten times"),
+        ("pet_s 0.2..0.3", "far end of the bucket"),
+    ];
     for (text, reason) in reasons {
         let row = ask(text);
         assert!(row.method == RateMethod::NoneFound && row.note.as_ref().unwrap().contains(reason), "{:?}", row.note);

@@ -71,7 +71,7 @@ fn claims(model: &ReportModel) -> Markup {
 
 /// The rates in closed loops of the unguided model, and whether they are as recorded.
 fn calibration(model: &ReportModel) -> Markup {
-    let columns = ["Behavior", "Place", "Recorded events", "Recorded in 1,000 km", "Modeled", "Factor", "Used"];
+    let columns = ["Behavior", "Place", "Held-out events", "In 1,000 km", "Modeled", "Factor", "Used"];
     let mut plain = PlainTable::new("Modeled against recorded rates of held-out recordings", &columns);
     let range = |Estimate { value: found, interval }: Estimate| match found > 0.0 {
         true => format!("{} ({} to {})", value(found), value(interval.low), value(interval.high)),
@@ -124,7 +124,7 @@ fn label(row: &RateRow) -> String {
 }
 
 fn table(caption: &str, rows: &[&RateRow]) -> Markup {
-    let columns = ["Behavior", "Place", "Events", "An hour", "In 1,000 km", "Known from"];
+    let columns = ["Behavior", "Place", "Events", "An hour at a place", "In 1,000 km", "Known from"];
     let mut plain = PlainTable::new(caption, &columns);
     let range = |rate: f64, Interval { low, high }: Interval| match rate > 0.0 {
         true => format!("{} ({} to {})", value(rate), value(low), value(high)),

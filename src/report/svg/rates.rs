@@ -45,7 +45,9 @@ pub(in crate::report) fn rate_chart(name: &str, unit: &str, marks: &[RateMark]) 
             }
             @for (i, mark) in marks.iter().enumerate() {
                 @let middle = ROW * (i as f64 + 0.5) + 4.0;
-                @let (low, high) = (x(low_of(mark)), x(mark.interval.high.log10()));
+                // Where none was found, the bar comes from beyond the axis: its end would look like a least rate.
+                @let low = if mark.interval.low > 0.0 { low_of(mark) } else { least };
+                @let (low, high) = (x(low), x(mark.interval.high.log10()));
                 text class="tick" x=(labels - 8.0) y=(middle) dy="0.32em" text-anchor="end" { (mark.label) }
                 @let (above, below) = (middle - 4.0, middle + 4.0);
                 path class="whisker" d=(format!("M{low} {middle}L{high} {middle}M{high} {above}L{high} {below}")) {}

@@ -178,7 +178,7 @@ fn rates(name: &str) -> Vec<RateRow> {
         per_1000_km: Some(Interval { low: 1.8 * n_events as f64, high: 8.0 + 2.4 * n_events as f64 }),
         dispersion: Some(2.5),
         method: if n_events > 0 { RateMethod::OverRecordings } else { RateMethod::NoneFound },
-        note: (n_events == 0).then(|| "not extrapolated: fewer than 30 events are beyond any threshold".to_owned()),
+        note: (n_events == 0).then(|| "not extrapolated: fewer than 30 events to begin from".to_owned()),
     };
     vec![of("", "", 40), of("", "ttc_s 0..0.5", 0), of(name, "", 40)]
 }
