@@ -1,9 +1,11 @@
 //! Drives of an interrupted attempt, kept beside its output folder so that they are not driven again.
 
-use super::pool::Drives;
-use super::{Error, Result};
+use super::drives::Drives;
+use super::{DriveConfig, Error, Origin, Result};
 use crate::files::{self, keep_list, listed, remove_listed};
-use crate::store::{self, read_binary, write_binary_atomically};
+use crate::generate::Futures;
+use crate::scenario::EgoChoice;
+use crate::store::{self, CorpusReader, read_binary, write_binary_atomically};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
@@ -91,10 +93,30 @@ impl Drop for Kept {
     }
 }
 
+/// Everything that drives depend on, except what a planner does beside the files that its command names.
+pub(super) fn parts(
+    (reader, of_scenes): (&CorpusReader, &str),
+    from: &Origin<'_>,
+    ego: &EgoChoice,
+    config: &DriveConfig,
+    futures: &Futures<'_>,
+) -> Result<[(&'static str, String); 5]> {
+    let from = if let Origin::State(world) = from { Some(world) } else { None };
+    // The number of simultaneous drives changes nothing, and what is counted of them neither.
+    let own = DriveConfig { n_workers: 0, rates: false, split: None, program: String::new(), ..config.clone() };
+    Ok([
+        ("the files of the planner", config.ego.files_hash()?),
+        ("the settings", format!("{own:?} {ego:?} {from:?} {}", futures.seed())),
+        ("the model", futures.fingerprint().to_owned()),
+        ("the corpus", format!("{:?} {of_scenes}", reader.manifest())),
+        ("the program", config.program.clone()),
+    ])
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::generate::{Futures, NamedDriver};
+    use crate::generate::NamedDriver;
     use crate::simulate::testing::{model, record, situation};
     use crate::simulate::{Others, RolloutConfig, named, roll_out};
 
@@ -113,9 +135,9 @@ mod tests {
         let (kept, others) = begin("a");
         assert_eq!(others, "");
         assert!(kept.get("x/1").unwrap().is_none());
-        kept.put("x/1", &(vec![("idm".to_owned(), driven.clone())], None)).unwrap();
+        kept.put("x/1", &Drives { all: vec![("idm".to_owned(), driven.clone())], margin: None }).unwrap();
         let (kept, others) = begin("a");
-        let (again, margin) = kept.get("x/1").unwrap().unwrap();
+        let Drives { all: again, margin } = kept.get("x/1").unwrap().unwrap();
         assert_eq!(others, "");
         assert_eq!((format!("{:?}", again[0].1), margin, kept.n_found()), (format!("{driven:?}"), None, 1));
         let (other, others) = begin("b");

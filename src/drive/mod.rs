@@ -7,6 +7,7 @@
 mod action;
 mod answer;
 mod config;
+mod drives;
 mod ego_driver;
 mod error;
 mod external;

@@ -1,8 +1,8 @@
 //! Writes the files of a drive.
 
+use super::drives::Drives;
 use super::margin::{Margin, Margins};
 use super::page::Cards;
-use super::pool::{Drives, of_driver};
 use super::rates::{Buckets, failure_rates};
 use super::report::DriveReport;
 use super::{DriveConfig, Error, FailureRates, Result, SplitFailures};
@@ -75,12 +75,12 @@ impl<'a> Output<'a> {
         })
     }
 
-    pub(super) fn add(&mut self, situation: &Situation, (drives, margin): Drives) -> Result<()> {
+    pub(super) fn add(&mut self, situation: &Situation, drives: Drives) -> Result<()> {
         self.tags.insert(situation.scenario_id.clone(), Tags::of(&situation.scene));
-        let careful = of_driver(&drives, NamedDriver::Careful);
+        let careful = drives.of(NamedDriver::Careful);
         let judged = careful.map(|driven| driven.outcome).filter(|outcome| *outcome != Outcome::NotSampled);
         let careful_survives = judged.map(|outcome| outcome == Outcome::Survived);
-        for (name, driven) in &drives {
+        for (name, driven) in &drives.all {
             let scene = situation.driven(&driven.world);
             let (n_history, plan_ends) = (scene.n_history, driven.world.plan_ends);
             let moved_by = |agent_idx: usize, timestep: usize| match () {
@@ -94,7 +94,7 @@ impl<'a> Output<'a> {
             self.rows.push(row(situation, name, driven, careful_survives));
             self.log(&situation.scenario_id, driven)?;
         }
-        if let Some(saved) = drives.first().and_then(|(_, driven)| driven.saved.as_ref()) {
+        if let Some(saved) = drives.all.first().and_then(|(_, driven)| driven.saved.as_ref()) {
             let folder = self.out.join(STATES_DIR);
             fs_err::create_dir_all(&folder)?;
             // Ids are hexadecimal, but those of a foreign corpus need not be.
@@ -104,11 +104,11 @@ impl<'a> Output<'a> {
             write_atomically::<Error>(&path, |file| Ok(file.write_all(text.as_bytes())?))?;
             self.report.n_saved += 1;
         }
-        if let Some(((own, asked), careful)) = drives.first().zip(careful) {
+        if let Some(((own, asked), careful)) = drives.all.first().zip(careful) {
             let again = self.again.replace("{ID}", &situation.scenario_id);
             self.cards.offer(situation, &again, (own, asked), (NamedDriver::Careful.name(), careful));
         }
-        self.margins.extend(margin);
+        self.margins.extend(drives.margin);
         Ok(())
     }
 

@@ -1,5 +1,6 @@
 //! Drives situations at the same time, each with the driver under test, the careful one, and one that does nothing.
 
+use super::drives::Drives;
 use super::external::External;
 use super::kept::Kept;
 use super::margin::Margin;
@@ -9,8 +10,8 @@ use crate::generate::{Futures, NamedDriver};
 use crate::progress::Progress;
 use crate::rates::ModeledTraffic;
 use crate::simulate::{
-    CHUNK, Driven, Driver, LoopWorker, Modeling, Others, Outcome, RatesConfig, Situation, in_parallel, named,
-    pool_of_worker, roll_out,
+    CHUNK, Driver, LoopWorker, Modeling, Others, Outcome, RatesConfig, Situation, in_parallel, named, pool_of_worker,
+    roll_out,
 };
 use crate::store::SceneStore;
 use rayon::ThreadPool;
@@ -21,13 +22,6 @@ use std::sync::atomic::AtomicBool;
 /// The drivers beside the one under test, unless it is one of them: the careful one says what can be avoided, and one
 /// at constant velocity whether a scenario asks for anything.
 pub(super) const BESIDE: [NamedDriver; 2] = [NamedDriver::Careful, NamedDriver::ConstantVelocity];
-
-/// The drives from a situation, by the name of the driver in tables, that under test first; and the margin.
-pub(super) type Drives = (Vec<(String, Driven)>, Option<Margin>);
-
-pub(super) fn of_driver(drives: &[(String, Driven)], driver: NamedDriver) -> Option<&Driven> {
-    drives.iter().find(|(name, _)| name == driver.name()).map(|(_, driven)| driven)
-}
 
 /// Drivers, some for each thread.
 pub(super) struct Pool<'a> {
@@ -140,14 +134,14 @@ impl Worker {
         });
         let Self { drivers, pool } = self;
         pool.install(|| {
-            let mut drives = Vec::new();
+            let mut all = Vec::new();
             for (i, (name, driver)) in drivers.iter_mut().enumerate() {
                 let save_at = save_at.filter(|_| i == 0);
                 let driven = roll_out(situation, start(), driver.as_mut(), &others, &config.rollout, save_at)?;
-                drives.push((name.clone(), driven));
+                all.push((name.clone(), driven));
             }
             let careful = drivers.iter().position(|(name, _)| name == NamedDriver::Careful.name()).unwrap_or_default();
-            let outcomes: [Outcome; 2] = [0, careful].map(|i| drives[i].1.outcome);
+            let outcomes: [Outcome; 2] = [0, careful].map(|i| all[i].1.outcome);
             let margin = match (config.bisects, from) {
                 (true, Origin::Scenarios(_)) => Margin::find(situation, outcomes, |driver, later| {
                     let (_, driver) = &mut drivers[if driver == 0 { 0 } else { careful }];
@@ -156,7 +150,7 @@ impl Worker {
                 })?,
                 _ => None,
             };
-            Ok((drives, margin))
+            Ok(Drives { all, margin })
         })
     }
 }

@@ -1,6 +1,6 @@
 //! Drives every selected scenario of a corpus, with the careful driver beside, and writes the results.
 
-use super::kept::Kept;
+use super::kept::{Kept, parts};
 use super::output::Output;
 use super::pool::Pool;
 use super::report::DriveReport;
@@ -88,24 +88,4 @@ fn loop_starts(reader: &CorpusReader, scenes: &SceneStore, seed: u64) -> Result<
         return Err(Error::Config(why.to_owned()));
     }
     Ok(order.into_iter().map(|(position, _)| position).collect())
-}
-
-/// Everything that drives depend on, except what a planner does beside the files that its command names.
-fn parts(
-    (reader, of_scenes): (&CorpusReader, &str),
-    from: &Origin<'_>,
-    ego: &EgoChoice,
-    config: &DriveConfig,
-    futures: &Futures<'_>,
-) -> Result<[(&'static str, String); 5]> {
-    let from = if let Origin::State(world) = from { Some(world) } else { None };
-    // The number of simultaneous drives changes nothing, and what is counted of them neither.
-    let own = DriveConfig { n_workers: 0, rates: false, split: None, program: String::new(), ..config.clone() };
-    Ok([
-        ("the files of the planner", config.ego.files_hash()?),
-        ("the settings", format!("{own:?} {ego:?} {from:?} {}", futures.seed())),
-        ("the model", futures.fingerprint().to_owned()),
-        ("the corpus", format!("{:?} {of_scenes}", reader.manifest())),
-        ("the program", config.program.clone()),
-    ])
 }
