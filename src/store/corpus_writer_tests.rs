@@ -130,6 +130,10 @@ fn an_id_cannot_occur_twice() {
     let mut writer = CorpusWriter::create(dir.path(), &store).unwrap();
     let error = writer.write_scenarios(&[records[0].clone(), records[0].clone()]).unwrap_err();
     assert!(error.to_string().ends_with("another scenario has this id"), "{error}");
+    let mut twins = records[1].clone();
+    twins.scenario.scene.tracks[1].id = twins.scenario.scene.tracks[0].id.clone();
+    let error = writer.write_scenarios(&[twins]).unwrap_err();
+    assert!(error.to_string().ends_with("two of its tracks have the same id"), "{error}");
 }
 
 #[test]

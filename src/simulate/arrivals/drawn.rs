@@ -9,6 +9,9 @@ use super::ends::{Ends, Seen};
 use crate::scene::{Scene, Track, TrackId};
 use crate::seed::Seed;
 
+/// Arrivals have this before their number as a name.
+const PREFIX: &str = "arrival_";
+
 impl Ends {
     /// Expected arrivals per second.
     pub(super) fn rate_per_s(&self) -> f64 {
@@ -23,7 +26,10 @@ impl Ends {
     /// Endless random arrivals after the present of this scenario, in order of time.
     pub(super) fn drawn(&self, scene: &Scene, name: &str, seed: u64) -> impl Iterator<Item = (Arrival, Track)> {
         let (rate_per_s, mut rng) = (self.rate_per_s(), Seed(seed).derive_named("arrivals", name).rng());
-        let (present, dt_s, mut after_s, mut number) = (scene.current_timestep(), scene.dt_s, 0.0, 0);
+        let (present, dt_s, mut after_s) = (scene.current_timestep(), scene.dt_s, 0.0);
+        // A scene that continues a closed loop holds arrivals of that loop.
+        let number_of = |track: &Track| track.id.0.strip_prefix(PREFIX)?.parse::<u64>().ok();
+        let mut number = scene.tracks.iter().filter_map(number_of).max().unwrap_or_default();
         std::iter::from_fn(move || {
             after_s -= (1.0 - rng.uniform()).ln() / rate_per_s;
             let mut left = rng.uniform() * rate_per_s;
@@ -37,7 +43,7 @@ impl Ends {
             number += 1;
             let timestep = present.saturating_add((after_s / dt_s).ceil() as usize);
             let arrival = Arrival { timestep, state, entry_idx: Some(entry_idx), is_recorded: false };
-            Some((arrival, Track { id: TrackId(format!("arrival_{number}")), ..track.clone() }))
+            Some((arrival, Track { id: TrackId(format!("{PREFIX}{number}")), ..track.clone() }))
         })
     }
 }

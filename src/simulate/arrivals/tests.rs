@@ -176,6 +176,11 @@ fn in_times_that_the_recording_covers_nobody_else_arrives_and_longer_drives_have
         |tracks: &[Track]| tracks.iter().filter(|t| t.id.0.starts_with("arrival_")).cloned().collect::<Vec<_>>();
     let kept = drawn(&tracks);
     assert!(kept.iter().all(|track| alone.1.contains(track)) && kept.len() < alone.1.len());
+    // A scene of an earlier loop holds arrivals already.
+    let mut continues = scene.clone();
+    continues.tracks.push(Track { id: TrackId("arrival_41".to_owned()), ..tracks[0].clone() });
+    let later = Arrivals::expect(&ends, &Recorded::default(), (&continues, "a", 7), |_| true, [1000, 0]).1;
+    assert_eq!((later.len(), later[0].id.0.as_str()), (alone.1.len(), "arrival_42"));
     for sizes in [[40, 0], [195, 0], [0, 9]] {
         let (fewer, first) = expect(sizes);
         assert!(!first.is_empty() && first.len() < tracks.len() && tracks.starts_with(&first), "{sizes:?}");

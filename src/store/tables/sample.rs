@@ -9,6 +9,7 @@ use crate::store::schema::{TableSchema, column, list_of};
 use crate::store::{Error, MapSource, Result, as_stored};
 use arrow::array::RecordBatch;
 use arrow::datatypes::DataType;
+use std::collections::BTreeSet;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -54,6 +55,9 @@ pub(crate) fn check(record: &ScenarioRecord) -> Result<()> {
     let (scene, observed) = (&scenario.scene, &scenario.observed);
     if (observed.n_agents(), observed.n_timesteps()) != (scene.tracks.len(), scene.n_timesteps) {
         return refuse("its mask of observed states must have an entry for each of its tracks and timesteps");
+    }
+    if scene.tracks.iter().map(|track| &track.id).collect::<BTreeSet<_>>().len() < scene.tracks.len() {
+        return refuse("two of its tracks have the same id");
     }
     let has_state = |i: usize| scene.state(i / scene.n_timesteps, i % scene.n_timesteps).is_some();
     if observed.entries().iter().enumerate().any(|(i, is_observed)| *is_observed && !has_state(i)) {

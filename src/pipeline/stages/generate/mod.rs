@@ -65,7 +65,7 @@ impl Stage for Generate<'_> {
     }
 
     fn version(&self) -> u32 {
-        34
+        35
     }
 
     fn check(&self) -> Result<()> {
