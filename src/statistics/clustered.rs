@@ -124,5 +124,8 @@ mod tests {
         let together = weighted_rate(&clusters([3.0, 1.0, 1.0, 1.0]), 1.0).unwrap();
         close(together.dispersion.unwrap(), 12.0 / 6.0);
         assert!(clustered_rate(&[(1, 1e-3), (0, 1.0), (0, 1.0), (0, 1.0)]).unwrap().dispersion.unwrap() > 900.0);
+        // Of two clusters with one exposure, both kinds tell the same: a deviation of 1 each from 2, and one is free.
+        let pearson = clustered_rate(&[(1, 1.0), (3, 1.0)]).unwrap().dispersion.unwrap();
+        close(weighted_rate(&[(1.0, 1.0), (3.0, 1.0)], 0.1).unwrap().dispersion.unwrap(), pearson);
     }
 }
