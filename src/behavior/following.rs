@@ -101,3 +101,25 @@ impl<'a> Follower<'a> {
         self.scene.state(agent_idx, timestep).filter(|state| state.is_finite())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::Extent;
+    use crate::scene::testing::{Drive, scene};
+
+    #[test]
+    fn boxes_overlap_across_the_lane_by_half_the_width_of_the_narrower_one() {
+        let is_ahead = |width_m: f64, offset_m: f64| {
+            let drives = [Drive::straight(0.0, 0.0, 0.0, 10.0), Drive::straight(12.0, offset_m, 0.0, 10.0)];
+            let mut scene = scene(&drives);
+            scene.tracks[1].extent = Some(Extent { length_m: 8.0, width_m });
+            let lanes = SceneLanes::new(&scene.lanes);
+            let follower = Follower::of(&scene, &lanes, 0).unwrap();
+            !follower.ahead(scene.current_timestep(), 50.0).is_empty()
+        };
+        // Behind a truck, beside a motorcycle: the follower is 1.8 m wide.
+        assert_eq!([1.2, 1.4].map(|offset_m| is_ahead(2.6, offset_m)), [true, false]);
+        assert_eq!([0.8, 1.0].map(|offset_m| is_ahead(0.8, -offset_m)), [true, false]);
+    }
+}

@@ -156,6 +156,21 @@ mod tests {
     }
 
     #[test]
+    fn an_agent_in_the_bend_of_its_lane_keeps_to_the_middle() {
+        // A circle of 100 m to the left.
+        let at = |rad: f64| Vec2::new(100.0 * rad.sin(), 100.0 * (1.0 - rad.cos()));
+        let line: Vec<String> =
+            (-25..75).map(|i| at(f64::from(i) * 0.02)).map(|Vec2 { x, y }| format!("[{x}, {y}]")).collect();
+        let lanes = lane_graph(&format!("lanes = [{{ id = 1, centerline = [{}] }}]", line.join(", ")));
+        let drive = Drive { curvature_1pm: 0.01, ..Drive::straight(0.0, 0.0, 0.0, 10.0) };
+        let scene = Scene { lanes: Arc::new(lanes), ..testing::scene(&[drive]) };
+        let way = way_on(&scene, 0, 60.0, SETTLES_S);
+        let off_m = way.iter().map(|point| (point.distance(Vec2::new(0.0, 100.0)) - 100.0).abs());
+        let most_m = off_m.fold(0.0, f64::max);
+        assert!(way.len() == 60 && most_m < 0.1, "{most_m}");
+    }
+
+    #[test]
     fn an_agent_whose_lane_ends_moves_over_to_the_one_beside_it() {
         // A ramp that ends after 70 m beside a lane that goes on, which bends later.
         let lanes = lane_graph(

@@ -37,3 +37,40 @@ impl BucketRates {
         *self.known.entry(key).or_insert_with(find)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::behavior::BehaviorEvent;
+    use crate::evaluate::testing::{record, recorded};
+    use crate::rates::{CLASSES, ExposureRow};
+    use crate::scene::{Dataset, Split};
+
+    #[test]
+    fn a_rate_is_that_of_the_place_of_the_scenario() {
+        // Recordings of 1,000 km each.
+        let row = |place: &str| ExposureRow {
+            dataset: Dataset::Interaction,
+            place: place.to_owned(),
+            split: Split::Val,
+            recording: place.to_owned(),
+            shares_with: None,
+            n_scenes: 1,
+            observed_h: 10.0,
+            class_h: [0.0; CLASSES.len()],
+            class_km: std::array::from_fn(|i| if i == 0 { 1000.0 } else { 0.0 }),
+        };
+        let mut traffic = RecordedTraffic::new(["A", "B"].map(row).into());
+        let scenario = record(0.0, true, false, recorded());
+        for place in [vec!["A"; 10], vec!["B"; 40]].concat() {
+            traffic.add(&BehaviorEvent { scene_id: place.into(), ..scenario.events[0].clone() });
+        }
+        let mut rates = BucketRates::new(traffic, None);
+        let found = ["A", "B", "A"].map(|place| {
+            let mut scenario = scenario.clone();
+            scenario.scenario.scene.source.place = place.to_owned();
+            rates.of(&scenario).unwrap().per_1000_km.unwrap()
+        });
+        assert!(found.iter().zip([10.0, 40.0, 10.0]).all(|(a, b)| (a - b).abs() < 1e-9), "{found:?}");
+    }
+}

@@ -233,4 +233,17 @@ mod tests {
         assert!(given.rate(Asked { within: &far, ..asked }).unwrap_err().contains("0 events"));
         assert!(given.rate(Asked { behavior: "near_miss", ..asked }).is_err());
     }
+
+    #[test]
+    fn a_rate_may_be_as_much_too_low_as_fewer_events_are_modeled() {
+        let close: Within = "gap_m 0..5".parse().unwrap();
+        let asked = Asked { place: Some("A"), split: None, behavior: "cut_in", within: &close };
+        // 100 in 1,000 km, and 30 with 8 of a quarter in 400 km: 80.
+        let given = ModeledRates::new(modeled(30), &recorded(100), &["cut_in"]);
+        let factor = given.calibrations()[0].factor.unwrap();
+        assert!((factor.value - 0.8).abs() < 1e-9 && 1.0 / factor.interval.low > factor.interval.high);
+        let [own, found] = [given.traffic.rate(asked).unwrap(), given.rate(asked).unwrap()]
+            .map(|row| (row.per_1000_km.unwrap().high / row.rate_per_1000_km.unwrap()).ln());
+        assert!((found - own.hypot(-factor.interval.low.ln())).abs() < 1e-9, "{found} of {own} and {factor:?}");
+    }
 }

@@ -100,3 +100,38 @@ pub(super) fn ttc_s(situation: &Situation, world: &World) -> Option<f64> {
     });
     times.reduce(f64::min)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::Vec2;
+    use crate::simulate::testing::{record, situation};
+    use std::f64::consts::{FRAC_PI_2, PI};
+
+    #[test]
+    fn contacts_have_the_side_of_the_ego_and_the_speed_of_one_seen_from_the_other() {
+        let situation = situation(&record());
+        let (ego_idx, other_idx, heading_rad) = (situation.ego_idx, situation.planned[0], 0.3);
+        let contact_with = |ahead_m: f64, left_m: f64, turned_rad: f64| {
+            let state = |position: Vec2, heading_rad: f64| State {
+                position: position.rotated(0.3),
+                heading_rad,
+                velocity: Vec2::from_angle(heading_rad) * 10.0,
+            };
+            let states = [
+                (ego_idx, state(Vec2::ZERO, heading_rad)),
+                (other_idx, state(Vec2::new(ahead_m, left_m), heading_rad + turned_rad)),
+            ];
+            let at = |idx: usize| [states.iter().find(|(of, _)| *of == idx).map(|(_, state)| *state)];
+            let tracks: Vec<[Option<State>; 1]> = (0..situation.scene.tracks.len()).map(at).collect();
+            let world = World::new("s", 0, 0, tracks.iter().map(<[_; 1]>::as_slice));
+            contact(&situation, &world).map(|contact| (contact.side, (contact.relative_mps * 100.0).round()))
+        };
+        // As fast ahead of it and behind, from its left, head on, and apart.
+        assert_eq!(contact_with(3.0, 0.0, 0.0), Some((Side::Front, 0.0)));
+        assert_eq!(contact_with(-3.0, 0.0, 0.0), Some((Side::Rear, 0.0)));
+        assert_eq!(contact_with(0.0, 1.5, -FRAC_PI_2), Some((Side::Flank, 1414.0)));
+        assert_eq!(contact_with(3.0, 0.0, PI), Some((Side::Front, 2000.0)));
+        assert_eq!(contact_with(30.0, 0.0, PI), None);
+    }
+}

@@ -102,5 +102,7 @@ mod tests {
         close(apart.interval.high, 10.242 / 9996.0);
         let together = weighted_rate(&clusters([3.0, 1.0, 1.0, 1.0]), 1.0).unwrap();
         close(together.dispersion.unwrap(), 12.0 / 6.0);
+        // Each of two deviates by 1 from 2, and one of them is free.
+        close(weighted_rate(&[(1.0, 1.0), (3.0, 1.0)], 0.1).unwrap().dispersion.unwrap(), 1.0);
     }
 }

@@ -227,6 +227,7 @@ fn outcome<'a>(
 
 #[cfg(test)]
 mod tests {
+    use super::super::tests::{pool, tight};
     use super::*;
     use crate::behavior::{BehaviorConfig, BehaviorEvent};
     use crate::generate::testing::{denoiser, load};
@@ -349,6 +350,17 @@ mod tests {
             let n_beyond = expected.iter().filter(|outcome| **outcome == beyond).count();
             assert_eq!((tallies[0].n_beyond_limits, tallies[0].n_found), (n_beyond as u64, 2));
         }
+    }
+
+    #[test]
+    fn samples_are_numbered_on_from_those_of_earlier_rounds() {
+        let (request, pool) = (tight("per_bucket = 5\nbudget = { n_samples = 60 }"), pool(2));
+        let plan =
+            ShardPlan { idx: 3, sweep_idx: 0, cells: pool.cells.clone(), first_sample: 6, templates: Vec::new() };
+        let shard = RoundShard { arm: 0, members: vec![0, 1], aims: vec![None; 2], plan };
+        let (tally, _) = request.decide(2, &shard, &Ledger::new(&request, &pool), &[]);
+        // An arm draws three.
+        assert_eq!(tally.cells.iter().map(|cell| cell.next_sample).collect::<Vec<_>>(), [9, 9]);
     }
 
     #[test]

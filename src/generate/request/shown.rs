@@ -26,7 +26,7 @@ const N_TRIES: u64 = 2;
 #[derive(Debug, Clone, PartialEq)]
 pub struct Shown {
     /// Its number among those that are solved for the bucket.
-    pub(super) number: usize,
+    pub(in crate::generate) number: usize,
     /// The bucket of its event; `None` if the template alone does not tell.
     pub(in crate::generate) bucket: Option<usize>,
     /// How the requested agents move in it.

@@ -1,8 +1,9 @@
 //! Do classifier and objectives act as the sweep configures, alone and together, and does the provenance record it?
 
 use super::*;
-use crate::behavior::BehaviorConfig;
+use crate::behavior::{BehaviorConfig, BehaviorEvent, Outcome, Template};
 use crate::diffusion::SamplerConfig;
+use crate::guidance::Target;
 use crate::metrics::MetricSettings;
 use crate::scenario::ScenarioRecord;
 use crate::scene::Track;
@@ -227,6 +228,58 @@ fn what_would_repeat_the_template_of_another_sample_is_not_sampled() {
         let again = generator.regenerate(&planned, key).unwrap().unwrap();
         assert_eq!(again.scenario, output.records[key.cell].scenario);
     });
+}
+
+/// The drift with two templates, the first of which goes much farther than is wanted.
+struct TwoDrifts;
+
+impl Behavior for TwoDrifts {
+    fn id(&self) -> &'static str {
+        Drift.id()
+    }
+
+    fn roles(&self) -> &'static [&'static str] {
+        Drift.roles()
+    }
+
+    fn detect(&self, scene: &Scene) -> Vec<BehaviorEvent> {
+        Drift.detect(scene)
+    }
+
+    fn feasible(&self, scene: &Scene, agents: &[usize]) -> Vec<Outcome> {
+        Drift.feasible(scene, agents)
+    }
+
+    fn template_parameters(&self) -> &'static [&'static str] {
+        Drift.template_parameters()
+    }
+
+    fn templates(&self, scene: &Scene, agents: &[usize], wanted: &Target, n: usize) -> Vec<Template> {
+        let farther = Target::from([("gap_m".to_owned(), [100.0, 100.0])]);
+        [&farther, wanted].into_iter().flat_map(|wanted| Drift.templates(scene, agents, wanted, n)).collect()
+    }
+}
+
+#[test]
+fn templates_keep_their_numbers_where_others_are_left_out() {
+    let asked = "behavior = 'drift'\n    classifier_scope = 'none'\n    template = true";
+    let sweeps = SWEEPS.replace("behavior = 'drift'", asked).replace("strengths = [0.0, 3.0]", "");
+    let request = "[[arms]]\nname = 'a'\n[[requests]]\nname = 'r'\nbehavior = 'cut_in'\narms = ['a']\n\
+                   per_bucket = 1\nbudget = { n_samples = 9 }\nbuckets = { gap_m = [0, 4] }";
+    let config_of_request: GenerateConfig = toml::from_str(request).unwrap();
+    let cut_in = BehaviorConfig::from_id("cut_in").unwrap().build();
+    let mut request = config_of_request.resolve(&[cut_in]).unwrap().requests.remove(0);
+    request.arms[0].sweep_idx = 1;
+    let (denoiser, behaviors): (_, [Box<dyn Behavior>; 1]) = (denoiser(0), [Box::new(TwoDrifts)]);
+    let config = config(&sweeps).resolve(&behaviors).unwrap();
+    let classifiers = [classifier()];
+    let models = Models { denoiser: &denoiser, classifiers: &classifiers, distilled: None, baseline: None };
+    let generator =
+        Generator::new(&config, models, &behaviors, &load, MetricSettings::default(), &Device::Cpu).unwrap();
+    let plan = generator.plan(&index(12)).unwrap();
+    let shown = generator.shown(&request, 0, &plan.shards.last().unwrap().cells[0], 0).unwrap();
+    let found: Vec<_> = shown.iter().map(|shown| (shown.number, shown.bucket)).collect();
+    assert_eq!(found, [(1, Some(0))]);
 }
 
 #[test]

@@ -105,6 +105,19 @@ mod tests {
     }
 
     #[test]
+    fn motion_at_constant_acceleration_is_exact_between_uneven_rows() {
+        let parabola = |t: f64| Vec2::new(10.0 * t - t * t, 2.0 + 0.5 * t * t);
+        let found = resampled(&rows(&[0.03, 0.12, 0.47, 0.55, 0.98, 1.04], parabola), 1.0);
+        // At both ends, the velocity is that of a line.
+        let between: Vec<_> = found.iter().filter(|(frame, _)| (2..=9).contains(frame)).collect();
+        assert_eq!(between.len(), 8);
+        for (frame, state) in between {
+            let expected = parabola(*frame as f64 * DT_S);
+            assert!(state.position.distance(expected) < 1e-9, "{frame}: {state:?} {expected:?}");
+        }
+    }
+
+    #[test]
     fn cubics_between_two_rows_are_exact() {
         let cubic = |t: f64| Vec2::new(t * t * t, 2.0 * t * t * t - t);
         let [from, to] = [1.0, 3.0].map(|time_s| TimedState { time_s, position: cubic(time_s), heading_rad: None });

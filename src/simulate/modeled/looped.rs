@@ -229,6 +229,9 @@ mod tests {
             let mut counted = ModeledLoop::default();
             common.count(&start, world, Some(Outcome::Survived), 0.5, &mut counted);
             common.count(&start, world, Some(Outcome::Hit), 0.5, &mut counted);
+            // Each end counts for as long as it was driven, times its weight.
+            let driven_s = (world.n_timesteps() - scene.n_history) as f64 * scene.dt_s;
+            assert!((counted.observed_h * 3600.0 - driven_s).abs() < 1e-9, "{}", counted.observed_h);
             counted.events.into_iter().map(|event| (event.behavior, event.weight)).collect::<Vec<_>>()
         };
         let (place, gap_m) = (scene.source.place.as_str(), event.parameters["gap_m"]);

@@ -167,3 +167,39 @@ pub(crate) fn decode(
     };
     tracks.into_iter().map(track).collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::{Transform2, Vec2};
+    use crate::scene::testing::{Drive, scene};
+    use arrow::array::AsArray;
+    use std::f64::consts::FRAC_PI_2;
+
+    #[test]
+    fn columns_are_in_the_frames_that_they_name() {
+        let mut scene = scene(&[Drive::straight(1.0, 2.0, 0.25, 10.0)]);
+        scene.world_from_scene = Transform2::from_pose(Vec2::new(100.0, 50.0), FRAC_PI_2);
+        let (fields, arrays) = (state_fields(), states(&rows_of(&scene).collect::<Vec<_>>()));
+        let first = |name: &str| {
+            let array = &arrays[fields.iter().position(|field| field.name() == name).unwrap()];
+            let narrow = array.as_primitive_opt::<Float32Type>().map(|array| f64::from(array.value(0)));
+            narrow.unwrap_or_else(|| array.as_primitive::<Float64Type>().value(0))
+        };
+        let expected = [
+            ("x_m", 1.0),
+            ("y_m", 2.0),
+            ("heading_rad", 0.25),
+            ("vx_mps", 10.0 * 0.25_f64.cos()),
+            ("vy_mps", 10.0 * 0.25_f64.sin()),
+            ("world_x_m", 98.0),
+            ("world_y_m", 51.0),
+            ("world_heading_rad", 0.25 + FRAC_PI_2),
+            ("length_m", 4.5),
+            ("width_m", 1.8),
+        ];
+        for (name, expected) in expected {
+            assert!((first(name) - expected).abs() < 1e-6, "{name}: {}, expected {expected}", first(name));
+        }
+    }
+}
