@@ -23,13 +23,18 @@ impl Ends {
         entries.flat_map(|(entry_idx, entry)| entry.seen.iter().map(move |seen| (entry_idx, seen)))
     }
 
-    /// Endless random arrivals after the present of this scenario, in order of time.
-    pub(super) fn drawn(&self, scene: &Scene, name: &str, seed: u64) -> impl Iterator<Item = (Arrival, Track)> {
+    /// Endless random arrivals after the present of this scenario, in order of time, beside these that are `known`.
+    pub(super) fn drawn<'t>(
+        &self,
+        scene: &'t Scene,
+        known: impl Iterator<Item = &'t Track>,
+        (name, seed): (&str, u64),
+    ) -> impl Iterator<Item = (Arrival, Track)> {
         let (rate_per_s, mut rng) = (self.rate_per_s(), Seed(seed).derive_named("arrivals", name).rng());
         let (present, dt_s, mut after_s) = (scene.current_timestep(), scene.dt_s, 0.0);
-        // A scene that continues a closed loop holds arrivals of that loop.
+        // A scene that continues a closed loop holds arrivals of that loop, and others may follow from its windows.
         let number_of = |track: &Track| track.id.0.strip_prefix(PREFIX)?.parse::<u64>().ok();
-        let mut number = scene.tracks.iter().filter_map(number_of).max().unwrap_or_default();
+        let mut number = scene.tracks.iter().chain(known).filter_map(number_of).max().unwrap_or_default();
         std::iter::from_fn(move || {
             after_s -= (1.0 - rng.uniform()).ln() / rate_per_s;
             let mut left = rng.uniform() * rate_per_s;

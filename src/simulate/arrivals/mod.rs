@@ -72,7 +72,8 @@ impl Arrivals {
         let (mut arrivals, mut tracks) = (Self { ends: Arc::clone(ends), expected: Vec::new() }, Vec::new());
         let last = scene.current_timestep() + n_steps;
         let is_open = |(arrival, _): &(Arrival, Track)| !recorded.covers(arrival.timestep);
-        let mut drawn = ends.drawn(scene, name, seed).filter(is_open).peekable();
+        let mut drawn =
+            ends.drawn(scene, recorded.arrivals().map(|(_, track)| track), (name, seed)).filter(is_open).peekable();
         let mut known = recorded.arrivals().peekable();
         for _ in 0..MOST_ARRIVALS {
             let is_known_first = match (known.peek(), drawn.peek()) {

@@ -40,7 +40,7 @@ pub(in crate::simulate) struct Window {
 #[derive(Debug, Clone, Default)]
 pub(in crate::simulate) struct Recorded {
     /// In order of time.
-    arrivals: Vec<(Arrival, Track)>,
+    pub(super) arrivals: Vec<(Arrival, Track)>,
     /// The covered times: from one timestep (exclusive) to another (inclusive).
     covered: Vec<[usize; 2]>,
 }

@@ -181,6 +181,12 @@ fn in_times_that_the_recording_covers_nobody_else_arrives_and_longer_drives_have
     continues.tracks.push(Track { id: TrackId("arrival_41".to_owned()), ..tracks[0].clone() });
     let later = Arrivals::expect(&ends, &Recorded::default(), (&continues, "a", 7), |_| true, [1000, 0]).1;
     assert_eq!((later.len(), later[0].id.0.as_str()), (alone.1.len(), "arrival_42"));
+    // So does a window after it.
+    let mut follows = recorded.clone();
+    follows.arrivals[0].1.id = TrackId("arrival_9".to_owned());
+    let (_, named) = Arrivals::expect(&ends, &follows, (&scene, "a", 7), |_| true, [1000, 0]);
+    let n_names = named.iter().map(|track| &track.id).collect::<std::collections::BTreeSet<_>>().len();
+    assert_eq!(n_names, named.len());
     for sizes in [[40, 0], [195, 0], [0, 9]] {
         let (fewer, first) = expect(sizes);
         assert!(!first.is_empty() && first.len() < tracks.len() && tracks.starts_with(&first), "{sizes:?}");
