@@ -29,6 +29,7 @@ mod schema;
 mod settings;
 #[cfg(target_os = "linux")]
 mod signals;
+mod situations;
 #[path = "../skipped.rs"]
 mod skipped;
 mod stages;
