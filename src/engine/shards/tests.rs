@@ -173,6 +173,22 @@ fn a_damaged_shard_is_missing_again() {
 }
 
 #[test]
+fn a_shard_of_another_plan_counts_for_nothing() {
+    let (planned, root) = (Planned::new(1), tempfile::tempdir().unwrap());
+    planned.work("1/1", &|idx| planned.write(idx)).unwrap();
+    let identity = Identity { program: "1 (b)".to_owned(), ..identity() };
+    let division = Division::new(1, &serde_json::json!({})).unwrap();
+    let other = ShardFolder::write(root.path(), kind("generate"), identity, &division).unwrap();
+    for entry in fs_err::read_dir(planned.folder.dir()).unwrap() {
+        let name = entry.unwrap().file_name();
+        if name.to_string_lossy().starts_with("samples-") {
+            fs_err::copy(planned.folder.dir().join(&name), other.dir().join(&name)).unwrap();
+        }
+    }
+    assert_eq!([&planned.folder, &other].map(|folder| folder.seconds(0).is_some()), [true, false]);
+}
+
+#[test]
 fn a_process_that_goes_on_alone_tries_again_what_failed_or_was_killed() {
     for (is_shared, n_left) in [(false, 0), (true, 1)] {
         let planned = Planned::of(3, is_shared);
