@@ -11,7 +11,7 @@ use std::cell::{Cell, RefCell};
 /// states are the same to the bit.
 pub struct RememberingDenoiser<'a> {
     inner: &'a dyn Denoiser,
-    /// State, noise levels and estimate of each evaluation of the first run.
+    /// State (B, A, T, D), noise levels (B) and estimate (B, A, T, D) of each evaluation of the first run.
     first: RefCell<Vec<[Tensor; 3]>>,
     /// The number of the evaluation, while the run is like the first one.
     next: Cell<Option<usize>>,

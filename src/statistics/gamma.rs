@@ -86,5 +86,7 @@ mod tests {
             assert!((found / expected - 1.0).abs() < 1e-9, "{p} of {shape}: {found}, expected {expected}");
         }
         assert_eq!(gamma_quantile(0.025, 0.0), 0.0);
+        // About 0.025 to the power of 1 / shape, which is less than numbers can be.
+        assert!(gamma_quantile(0.025, 1e-3) <= f64::MIN_POSITIVE);
     }
 }

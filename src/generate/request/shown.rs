@@ -17,7 +17,8 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 /// How many templates of a cell are solved for a bucket.
 const N_TEMPLATES: usize = 16;
-/// By how much the margin of a template alone differs from that of the scenario, seconds: others are in the way, too.
+/// Templates whose margin alone is asked for with one of these added, seconds, may come to it in the scenario, where
+/// others are in the way, too: they are sampled to find out.
 const MARGINS_BESIDE_S: [f64; 8] = [-1.0, -0.75, -0.5, -0.25, 0.25, 0.5, 0.75, 1.0];
 /// How often a motion is sampled that was not accepted: what the others do around it differs.
 const N_TRIES: u64 = 2;

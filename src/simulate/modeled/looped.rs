@@ -13,10 +13,9 @@ use std::cell::RefCell;
 /// Events that begin in the last seconds of a loop do not count, for they may not be complete.
 const TO_COMPLETE_S: f64 = 3.0;
 
-/// What a failure of a driver is counted as; and as what else, if it is in an event that it is tested with. Others are
-/// counted as their outcome, too.
+/// What a failure of a driver is counted as. It is counted a second time: as [`TESTED_FAILURE`], or as its outcome.
 pub const FAILURE: &str = "failure";
-/// See [`FAILURE`].
+/// What a failure in an event that the driver is tested with is also counted as.
 pub const TESTED_FAILURE: &str = "tested_failure";
 
 /// Whether a driver is tested with such an event at a place.
